@@ -121,7 +121,8 @@ class ImuBatch:
     def part(self, which: slice | NDArray[np.intp] | Flags, cut: str = '') -> ImuBatch:
         """Return the selected samples as a batch; ``cut`` is the reason for a gap before them.
 
-        A slice returns views of the arrays, other selections return copies.
+        ``which`` is a slice, an array of indices, (k,), or an array of flags, (n,). A slice
+        returns views of the arrays, other selections return copies.
         """
         record = None if self.record_ns is None else self.record_ns[which]
         filled = None if self.filled is None else self.filled[:, which]

@@ -157,8 +157,9 @@ def _arrays(path: Path) -> dict[str, NDArray[Any]]:
 
 
 def array_in(path: Path, name: str) -> NDArray[Any]:
-    """Return an array of numbers or strings in a ``.npz`` file; an empty array if it is absent.
+    """Return an array of numbers or strings in a ``.npz`` file, with its shape in the file.
 
+    The result is an empty array, (0,), if the file has no array with this name.
     Raises AllanError when the file cannot be read.
     """
     with (

@@ -66,7 +66,7 @@ class Messages:
         return len(self.record_ns)
 
     def chosen(self, rows: NDArray[np.intp]) -> Messages:
-        """Return copies of the messages at the positions ``rows``."""
+        """Return copies of the messages at the positions ``rows``, (k,)."""
         payloads: Payloads
         if isinstance(self.payloads, np.ndarray):
             payloads = self.payloads[rows]

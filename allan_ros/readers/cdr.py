@@ -145,7 +145,7 @@ def decode_imus(
     payloads: Sequence[bytes | memoryview] | NDArray[np.void],
     encoding: Encoding,
 ) -> DecodedImus:
-    """Decode n serialized Imu messages.
+    """Decode n serialized Imu messages to stamps in ns, (n,), and samples in SI, (n, 6).
 
     The samples of a sensor are NaN in a message in which its covariance[0] is -1 or NaN and its
     data are invalid. Raises MalformedMessage for the first payload that is not an Imu message.

@@ -268,7 +268,7 @@ def columns_of(where: object, names: Iterable[str], options: ReadOptions) -> Col
             if axis in axes:
                 raise AllanError(
                     f'{where}: the columns {taken[axis]!r} and {name!r} both contain {axis}: '
-                    f'choose those of one IMU with --columns, such as gx={name},gy=NAME,...'
+                    f'choose the columns of one IMU with --columns, such as gx={name},gy=NAME,...'
                 )
             taken[axis] = name
             stated = unit or getattr(options, f'{kind}_unit')

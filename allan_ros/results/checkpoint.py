@@ -127,7 +127,7 @@ class Checkpoint:
         try:
             check_same_imu(self._content[0], sums)
             if self.earlier[0] and _has_wrong_unit(sums) and not _has_wrong_unit(self.earlier[0]):
-                raise AllanError('its unit of measurement is not that of the present samples')
+                raise AllanError('its unit of measurement is not the unit of the present samples')
             total = add_sums(self.earlier[0], sums)
         except AllanError as error:
             self._refuse(str(error))

@@ -111,7 +111,7 @@ def stated_noise(
     sensor : str
         Name of a datasheet, whose N and B are used if there is no preset; '' for none.
     spec : Fields, optional
-        Noise of a specification, whose coefficients replace those of the preset or datasheet.
+        Noise of a specification, whose coefficients replace the ones of the preset or datasheet.
     changes : mapping, optional
         Axis or sensor -> term -> coefficient in datasheet units. They replace all others.
 

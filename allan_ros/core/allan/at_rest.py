@@ -134,11 +134,12 @@ def turn_on_bias(means: Floats, variance: float = 0.0) -> TurnOnBias | None:
     Parameters
     ----------
     means : (recordings,) array
-        Mean of each recording.
+        Mean of each recording, in the unit of the samples.
     variance : float
-        Variance of the means due to noise: the Allan variance at the length of the recordings. It
-        is half of the mean squared difference of the means of two recordings that follow each
-        other without a break. For white noise, this is the variance of each mean.
+        Variance of the means due to noise, in the squared unit of the samples: the Allan variance
+        at the length of the recordings. It is half of the mean squared difference of the means of
+        two recordings that follow each other without a break. For white noise, this is the variance
+        of each mean.
 
     Returns
     -------
@@ -205,7 +206,7 @@ def _bandwidth(spectra: Spectra, i: int, white: float | None, tau0: float | None
     some = spectra.dof >= LEAST_DOF
     order = np.argsort(spectra.f[some], kind='stable')
     f = spectra.f[some][order]
-    # the power of means over `step` samples is that of the samples divided by `step`
+    # the power of means over `step` samples is the power of the samples divided by `step`
     power = (spectra.power[some, i] * steps[spectra.octave[some]])[order]
     if len(f) < SMOOTHED_BINS:
         return None

@@ -107,8 +107,10 @@ class LevelSums:
     def arrays(self) -> tuple[Ints, Floats, Ints, Floats, Ints, Ints, Floats]:
         """Separate arrays of counts and values.
 
-        They are number and sum of squares of the differences, number and sum of squares of the
-        non-overlapping differences, number of spectral blocks, number of pairs, and power.
+        They are number, (factors,), and sum of squares, (factors, axes), of the second differences;
+        number, (factors,), and sum of squares, (factors, axes), of the non-overlapping differences;
+        number of spectral blocks, (octaves,); number of pairs of overlapping spectral blocks,
+        (octaves,); and power, (bins, axes).
         """
         n = len(level_of(self.level).factors)
         m = (len(self.counts) - 2 * n) // 2
@@ -394,7 +396,11 @@ class Cascade:
         self._levels = [_RunningLevel(0, len(reference) + 1)]
 
     def feed(self, samples: Floats, interpolated: NDArray[np.bool_] | None) -> Iterator[Block]:
-        """Add samples, (axes, n), and yield the blocks that become full."""
+        """Add samples, (axes, n), and yield the blocks that become full.
+
+        The samples have the unit of the reference. ``interpolated``, (n,), flags the interpolated
+        samples; None means that there are none.
+        """
         at, n = 0, samples.shape[1]
         bottom = self._levels[0]
         while at < n:

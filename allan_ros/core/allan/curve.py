@@ -53,9 +53,9 @@ def edf(noise_type: int, m: int, stride: int, counts: ArrayLike, number: ArrayLi
         Averaging factor.
     stride : int
         Samples from the start of one second difference to the next.
-    counts : int or array
+    counts : int or (kinds,) array
         Number of second differences in a segment, for each kind of segment.
-    number : int or array
+    number : int or (kinds,) array
         Number of segments of each kind; broadcasts with ``counts``.
 
     Returns

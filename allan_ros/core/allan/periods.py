@@ -2,10 +2,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Sums of a recording in periods of time, and its block means.
 
+Periods
+-------
 The age of a sample is the number of samples of the recording before it. Periods are short at the
 start of a recording (warm-up) and at its end (recent changes), and long in between. A block of any
 level of the cascade belongs to the period in which the block starts.
 
+Rounding
+--------
 Sums of periods are rounded to 21 significant bits and means to 29, which makes documents smaller.
 """
 
@@ -36,7 +40,7 @@ other bytes are 0."""
 
 
 def rounded(values: Floats, size: int) -> Floats:
-    """Return values rounded to the upper ``size`` bytes of a float64."""
+    """Return values of any shape and unit, rounded to the upper ``size`` bytes of a float64."""
     shift = 64 - 8 * size
     bits = np.ascontiguousarray(values, '<f8').view('<u8')
     even = bits + ((bits >> np.uint64(shift)) & np.uint64(1)) + np.uint64((1 << (shift - 1)) - 1)
@@ -57,7 +61,10 @@ class ByValue:
 
 
 def add_padded(a: NDArray, b: NDArray) -> NDArray:  # type: ignore[type-arg]
-    """Return a + b; the shorter of the two is padded with zero rows."""
+    """Return a + b; the shorter of the two is padded with zero rows.
+
+    Both arrays have the same shape except for the number of rows.
+    """
     if len(a) < len(b):
         a, b = b, a
     out = a.copy()
@@ -223,5 +230,8 @@ def bounded_means(of_each: Sequence[Sequence[BlockMeans]]) -> list[tuple[BlockMe
 
 
 def totals(arrays: Iterable[NDArray]) -> NDArray:  # type: ignore[type-arg]
-    """Return the sum of arrays; shorter arrays are padded with zero rows."""
+    """Return the sum of arrays; shorter arrays are padded with zero rows.
+
+    All arrays have the same shape except for the number of rows.
+    """
     return reduce(add_padded, arrays)

@@ -5,6 +5,8 @@
 The line joins the mean of ``level`` samples before the stretch and the mean of ``level`` samples
 after it. The level is 1 for a gap or a spike, and the length of some windows for a shock.
 
+Table
+-----
 A table of stretches is an int64 array with one row per pair of length and level. The columns are
 length, level, and the number of such stretches on each axis.
 """
@@ -27,7 +29,10 @@ def no_stretches(axes: int) -> Ints:
 
 
 def add_stretches(a: Ints, b: Ints) -> Ints:
-    """Return the table of the stretches in ``a`` and ``b``, sorted by length and level."""
+    """Return the table of the stretches in two tables, sorted by length and level.
+
+    All tables are (rows, 2 + axes).
+    """
     rows = np.concatenate([a, b])
     keys, of_row = np.unique(rows[:, :2], axis=0, return_inverse=True)
     total = np.zeros((len(keys), rows.shape[1] - 2), np.int64)
@@ -36,7 +41,11 @@ def add_stretches(a: Ints, b: Ints) -> Ints:
 
 
 def scaled_stretches(table: Ints, share: float) -> Ints:
-    """Return the estimated table for a ``share`` of the samples: all numbers times the share."""
+    """Return the estimated table for a ``share`` of the samples.
+
+    All numbers of stretches are multiplied by the share and rounded. A row in which all numbers
+    become 0 is omitted. Both tables are (rows, 2 + axes).
+    """
     number = np.rint(table[:, 2:] * share).astype(np.int64)
     return np.asarray(np.column_stack([table[:, :2], number])[number.any(axis=1)])
 

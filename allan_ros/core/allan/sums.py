@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """`AllanSums`: sums over the samples of an IMU, from which its noise is computed.
 
+Definitions
+-----------
 The unit of time is the sample period. The phase theta is the cumulative sum of the samples minus
 the first sample of the segment. The second difference at the averaging factor m that starts at
 sample u is d(u) = theta(u + 2m) - 2 theta(u + m) + theta(u).

@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Predicted error of the integral of a sensor: angle of a gyro, velocity of an accelerometer.
 
+Definition
+----------
 The bias is averaged over the W seconds before time 0 and subtracted. At the prediction horizon h,
 the integral theta of the samples (angle or velocity) has the error
 

@@ -35,8 +35,8 @@ LIMIT = 2.0
 mean."""
 
 FLICKER_S = 30.0
-"""Assumed ratio B^2/K^2 of an unknown drift in s: the Allan variance of flicker noise exceeds that
-of the random walk at averaging times up to 40 s."""
+"""Assumed ratio B^2/K^2 of an unknown drift in s: the Allan variance of flicker noise exceeds the
+Allan variance of the random walk at averaging times up to 40 s."""
 
 GAIN_CAUSE = 10.0
 """Least gain in 2 log L for which a calibration error is named as a cause."""
@@ -136,7 +136,7 @@ class SensorInMotion:
 
     @property
     def raised(self) -> Mapping[str, Estimate]:
-        """Term -> factor, for those of 'N' and 'K' that differ from rest."""
+        """Term -> factor, for each of the terms 'N' and 'K' that differs from rest."""
         return {term: one for term, one in (('N', self.white), ('K', self.slow)) if one is not None}
 
 

@@ -4,8 +4,12 @@
 
 A state estimator with the parameters N and K underestimates its error if the sensor also has bias
 instability. A `Reduction` has larger parameters, with which the predicted error is at least the
-error of the complete model at all horizons (times of integration without a correction). The bias is
-assumed to be averaged over the longest horizon.
+error of the complete model at all horizons.
+
+Horizons
+--------
+A horizon is a time of integration without a correction. The bias is assumed to be averaged over the
+longest horizon.
 """
 
 from __future__ import annotations

@@ -8,6 +8,8 @@ The states are the integral of the samples (angle or velocity) and the component
     walk'  = slope + white noise of density K        (slope: an optional constant)
     x_i'   = A_i x_i + white noise                   (`Process.states` of each other process)
 
+Bias instability
+----------------
 Bias instability has no exact model with a finite number of states. It is approximated by four
 Gauss-Markov processes with logarithmically spaced correlation times. Their Allan variance agrees
 with bias instability within 5 % from about 3 s to 3000 s.

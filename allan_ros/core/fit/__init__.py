@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Estimate the noise coefficients of an IMU from its Allan sums: `methods.fit_noise`.
 
-Terms used in this package:
-
+Terms
+-----
 - *variance coefficients* q, w, b, k: the squares of Q, N, B, K with the sample period tau0 as the
   unit of time. All expectations are linear in them.
 - *ramp*: constant rate of change of the samples (term R), in their unit per sample.

@@ -3,7 +3,11 @@
 """Changes of the bias with time that are no noise, such as steps.
 
 An effect is a change of the bias whose form is known and whose size is not, such as a step or
-exp(-t/T). The size is estimated from the block means of a segment by generalized least squares.
+exp(-t/T).
+
+Method
+------
+The size of an effect is estimated from the block means of a segment by generalized least squares.
 Then the noise is fitted again to the data minus the effect. The gain of an effect is the decrease
 of -2 log likelihood.
 """
@@ -169,7 +173,8 @@ class AxisSegment:
     def with_effects(self, effects: Floats) -> FittedEffects:
         """Return the sizes of effects, and the fit of the noise to the data minus the effects.
 
-        ``effects`` are the contrasts of effects of size 1, (contrasts, effects).
+        ``effects`` are the contrasts of effects of size 1, (contrasts, effects). The sizes,
+        (effects,), are in SI.
         """
         fit, sizes = self.fit, np.zeros(effects.shape[1], float)
         for _ in range(3):

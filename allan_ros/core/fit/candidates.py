@@ -90,7 +90,8 @@ class LowBandFit:
     def dense(self, covariances: Floats) -> Moments:
         """Return the moments of candidates from their covariances.
 
-        ``covariances`` are (candidates, contrasts, contrasts).
+        ``covariances``, (candidates, contrasts, contrasts), are the covariances of the contrasts
+        for the coefficient 1, in units of `AxisData.scale`.
         """
         v, half = self.inverse @ covariances, 0.5 * self.segments
         return Moments(
@@ -102,7 +103,8 @@ class LowBandFit:
     def waves(self, waves: Floats) -> Moments:
         """Return the moments of sinusoids, whose covariances are w'w.
 
-        ``waves`` are the contrasts w of cosine and sine, (candidates, 2, contrasts).
+        ``waves`` are the contrasts w of cosine and sine, (candidates, 2, contrasts), for the
+        coefficient 1. The covariances w'w are in units of `AxisData.scale`.
         """
         squares, half = waves @ self.inverse @ waves.transpose(0, 2, 1), 0.5 * self.segments
         outer = (waves[:, :, :, None] * waves[:, :, None, :]).sum(1).reshape(len(waves), -1)
@@ -140,12 +142,15 @@ class Kind:
 
     @cached_property
     def power(self) -> Floats:
-        """Expected power of each candidate, (candidates, bins)."""
+        """Expected power of each candidate with the coefficient 1, (candidates, bins).
+
+        The power has the unit of the coefficient.
+        """
         return np.array([self.statistics.power_of(each) for each in self.processes])
 
     @cached_property
     def slow(self) -> Ints:
-        """Indices of the candidates that change the block means."""
+        """Indices of the k candidates that change the block means, (k,)."""
         if self.first.low_band == 'dense':
             return np.arange(len(self.processes))
         if self.first.low_band == 'none':
@@ -154,9 +159,10 @@ class Kind:
 
     @cached_property
     def covariances(self) -> list[Floats]:
-        """Covariances of the contrasts for the slow candidates, for each group of segments.
+        """Covariances of the contrasts for the k slow candidates, for each group of segments.
 
-        Each array is (slow candidates, contrasts, contrasts).
+        Each array is (k, contrasts, contrasts). The covariances are computed for the coefficient 1
+        and have the unit of the coefficient.
         """
         columns = [self.statistics.column(self.processes[i]).low for i in self.slow.tolist()]
         return [
@@ -168,7 +174,8 @@ class Kind:
         """Contrasts of a cosine and a sine of each slow sinusoid, for each group of segments.
 
         Each array is (sinusoids, 2, contrasts). The sum of the outer products of both is the
-        covariance of a sinusoid with random phase.
+        covariance of a sinusoid with random phase and the coefficient 1, in the unit of the
+        coefficient.
         """
         f, step = self.number[self.slow], self.statistics.step
         gain = np.sin(np.pi * step * f) / (step * np.sin(np.pi * f)) / math.sqrt(2.0)
@@ -207,8 +214,8 @@ class Kind:
     def allowed(self, shortest: float, fastest: float) -> Floats:
         """Return 1 for each candidate within the limits of a search, and 0 for others.
 
-        The limits are ``shortest``, for correlation times in samples, and ``fastest``, for
-        frequencies in cycles per sample.
+        The result is (candidates,). The limits are ``shortest``, for correlation times in samples,
+        and ``fastest``, for frequencies in cycles per sample.
         """
         by_frequency = FREQUENCY in self.first.parameters
         allowed = self.number < fastest if by_frequency else self.number >= shortest

@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Estimate of the noise of one axis: highest frequency of the model, processes, lack of fit.
 
+Low-pass filter
+---------------
 A low-pass filter in the sensor removes power at high frequencies, which no noise type describes.
 Such an axis is fitted only below the highest frequency for which the model passes its tests. There,
 q and a term in f^4 may be negative and describe the remaining effect of the filter. If the model

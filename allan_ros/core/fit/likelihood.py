@@ -85,11 +85,14 @@ class Fit:
 
     @property
     def free(self) -> NDArray[np.int64]:
-        """Indices of the coefficients that are not held at 0."""
+        """Indices of the k coefficients that are not held at 0, (k,)."""
         return np.flatnonzero((self.p > 0.0) | flags(len(self.p), self.signed))
 
     def covariance(self) -> Floats:
-        """Return the covariance of all coefficients; 0 for those that are held at 0."""
+        """Return the covariance of all coefficients, (components, components).
+
+        The covariance is 0 for coefficients that are held at 0.
+        """
         free = self.free
         out = np.zeros_like(self.information)
         out[np.ix_(free, free)] = inverse(self.information[np.ix_(free, free)])
@@ -108,7 +111,7 @@ def flags(size: int, chosen: Iterable[int]) -> Flags:
 
 
 def inverse(information: Floats) -> Floats:
-    """Return the inverse of an information matrix after scaling and adding `RIDGE`."""
+    """Return the inverse of an information matrix, (n, n), after scaling and adding `RIDGE`."""
     d = np.sqrt(np.maximum(np.diag(information), 1e-300))
     scaled = information / np.outer(d, d) + RIDGE * np.eye(len(d))
     return np.asarray(np.linalg.inv(scaled) / np.outer(d, d))
@@ -191,7 +194,8 @@ class AxisData:
     def moments(self, columns: Columns, p: Floats) -> tuple[float, Floats, Floats] | None:
         """Return -2 log L, the information I and the moment m of the step argmin p'Ip - 2m'p.
 
-        The result is None if the expected power or covariance is not positive.
+        I is (components, components), and m is (components,), as ``p``. The result is None if the
+        expected power or covariance is not positive.
         """
         from scipy.linalg import lapack  # slow to import
 
@@ -218,7 +222,7 @@ class AxisData:
         return value, information, moment
 
     def start(self, columns: Columns) -> Floats:
-        """Return coefficients, (components,), to start from.
+        """Return coefficients to start from, (components,), in units of `scale`.
 
         No component alone exceeds any statistic.
         """
@@ -321,8 +325,9 @@ class Interval(NamedTuple):
 def information_with_shapes(data: AxisData, fit: Fit, shapes: Sequence[Shape]) -> Floats:
     """Return the Fisher information of the coefficients of a fit and of some shapes.
 
-    The rows are the coefficients, then the shapes. The unknown of a shape is the logarithm of its
-    number, times the coefficient of the component.
+    The result is (components + shapes, components + shapes). The rows are the coefficients, then
+    the shapes. The unknown of a shape is the logarithm of its number, times the coefficient of the
+    component.
     """
     columns = data.columns(fit.components, shapes)
     moments = data.moments(columns, np.append(fit.p, np.zeros(len(shapes))))
@@ -335,10 +340,11 @@ def profile_interval(
 ) -> Interval:
     """Return the interval of the coefficient ``i`` of a fit, by its profile likelihood.
 
-    The interval contains all values whose -2 log L exceeds the minimum by at most 3.84, where all
-    other coefficients are fitted again at each value. If ``with_shapes``, the result of
-    `information_with_shapes`, is given, the interval is wider by the ratio of two standard errors:
-    with unknown and with known shapes.
+    The interval is in units of `AxisData.scale`. It contains all values whose -2 log L exceeds the
+    minimum by at most 3.84, where all other coefficients are fitted again at each value.
+    ``with_shapes``, (components + shapes, components + shapes), is the result of
+    `information_with_shapes`. If it is given, the interval is wider by the ratio of two standard
+    errors: with unknown and with known shapes.
     """
     estimate = float(fit.p[i])
     free = np.union1d(fit.free, [i])

@@ -44,10 +44,10 @@ class ModelLine(NamedTuple):
 
 
 def model_line(fit: AxisFit, tau0: float, m: NDArray[np.int64]) -> ModelLine:
-    """Return the Allan deviation of the model at the averaging factors ``m`` of a curve.
+    """Return the Allan deviation of the model at the averaging factors ``m`` of a curve, in SI.
 
-    ``tau0`` is the sample period in s. Below the shortest averaging time that the model describes,
-    the Allan deviation is NaN.
+    ``m`` and both arrays of the result are (factors,). ``tau0`` is the sample period in s.
+    Below the shortest averaging time that the model describes, the Allan deviation is NaN.
     """
     with np.errstate(invalid='ignore'):  # with a filter, the model is negative at short times
         line, upper = (

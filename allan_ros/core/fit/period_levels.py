@@ -3,8 +3,8 @@
 """Level of the noise in each period of a recording, and changes and scatter of this level.
 
 The level is the mean power in a band of frequencies, relative to the mean power of all data. Two
-bands are used: the highest octaves for white noise, and for drift the frequencies at which drift
-has a relevant share of the power.
+bands are used: for white noise, the highest octaves; for drift, the frequencies at which drift has
+a relevant share of the power.
 """
 
 from __future__ import annotations
@@ -172,8 +172,8 @@ class PeriodLevels:
     def joined(self, axis: int, parts: int) -> tuple[Floats, Floats]:
         """Return mean power and degrees of freedom of an axis in parts of several periods.
 
-        Both arrays are (parts found,). The parts have nearly the same number of samples, and at
-        least `LEAST_DOF` degrees of freedom each.
+        Both arrays are (n,), where n <= ``parts`` is the number of parts that were found. The parts
+        have nearly the same number of samples, and at least `LEAST_DOF` degrees of freedom each.
         """
         share = np.cumsum(self.samples) / self.samples.sum()
         ends, number = [0], 0.0

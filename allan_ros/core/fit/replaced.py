@@ -26,8 +26,9 @@ Floats = NDArray[np.float64]
 def stretch_excess(length: int, level: int) -> Floats:
     """Return the change of the autocovariance of white noise by one replaced stretch.
 
-    The result is the sum over all positions, at lags of 0, 1 ... ``length`` + ``level`` - 1
-    samples, for unit variance. ``level`` is the number of samples of the means on either side.
+    The result, (length + level,), is the sum over all positions, at lags of 0, 1 ...
+    ``length`` + ``level`` - 1 samples, for unit variance. ``level`` is the number of samples of the
+    means on either side.
     """
     n = 2 * (length + level)
     own = np.fft.rfft(np.ones(level), n)

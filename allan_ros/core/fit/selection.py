@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Selection of processes: which Gauss-Markov processes, sinusoids and resonances the data need.
 
+Method
+------
 Processes are added one at a time. Every candidate is rated by an approximation of its gain in
 -2 log L: the square of the score divided by the information. The best candidate of each kind is
 fitted, and its shape is improved. It is kept if the gain exceeds the threshold of its kind.
@@ -95,7 +97,10 @@ class Selection:
         return replace(self.candidates.search, shortest=self.shortest)
 
     def fit(self, components: Sequence[Process], p: Floats | None = None) -> Fit:
-        """Return the fit of some components."""
+        """Return the fit of some components.
+
+        ``p``, (components,), are the coefficients to start from, in units of `AxisData.scale`.
+        """
         return self.data.solve(components, None, p, signed=self.signed, tolerance=TOLERANCE)
 
     def selected(self) -> tuple[Selection, Fit]:

@@ -369,7 +369,10 @@ def decay_of_means(time: float, step: int, number: int) -> Floats:
 
 
 def settling_power(sums: AllanSums, settling: Settling, octaves: int) -> Floats:
-    """Return the power of a settling, summed over the spectral blocks, (bins, axes)."""
+    """Return the power of a settling, summed over the spectral blocks, (bins, axes).
+
+    The power is in the squared unit of the samples.
+    """
     segments = [
         (settling.sizes[i] * math.exp(-elapsed(r, m, sums.tau0 or 1.0) / settling.time), m.samples)
         for i, r in enumerate(sums.recordings)

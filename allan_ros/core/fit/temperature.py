@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Bias of each axis as a function of temperature: `temperature_models`.
 
+Model
+-----
 The block means of the Allan sums are a constant and a line in time for each recording, the effects
 of the temperature T, and noise. The effects are b1 (T - T0), b2 (T - T0)^2 and hysteresis (dT/dt) /
 (2 r) with r = mean |dT/dt|. `docs/method.md` derives the fit, and the lag of the bias.
@@ -57,7 +59,7 @@ NOISE: tuple[Process, ...] = (White(), Flicker(), RandomWalk())
 
 KNOWN_DOF = 1e4
 """Degrees of freedom of a coefficient that is known from the fit of all data: its error is 0.7 %,
-far below those of the others."""
+far below the errors of the other coefficients."""
 
 
 @dataclass(frozen=True)
@@ -126,7 +128,7 @@ class TemperatureModel:
         return -self.hysteresis / (2.0 * self.b1 * self.rate)
 
     def bias(self, celsius: Floats) -> Floats:
-        """Return b(T) at temperatures in degC, in SI."""
+        """Return b(T) in SI at temperatures in degC; the result has the shape of ``celsius``."""
         x = np.asarray(celsius, float) - self.reference
         return np.asarray(self.b0 + x * (self.b1 + x * self.b2))
 
@@ -314,7 +316,11 @@ class _Effects(NamedTuple):
 
 
 def half_widths(variances: ArrayLike, dof: ArrayLike) -> Floats:
-    """Return half of the 95 % intervals of values whose variances have some degrees of freedom."""
+    """Return half of the widths of the 95 % intervals of values, in the unit of the values.
+
+    ``variances`` are the estimated variances of the values, and ``dof`` their degrees of freedom.
+    The result has the shape to which both arrays broadcast.
+    """
     from scipy.special import stdtrit  # slow to import
 
     return np.asarray(stdtrit(dof, 0.975) * np.sqrt(variances))
@@ -404,8 +410,8 @@ def _model(
 ) -> TemperatureModel | None:
     """Return the model of one axis; None if an interval is unknown.
 
-    ``effects``, (blocks, 3), are the columns of b1, b2 and the hysteresis. ``basis`` is that of the
-    contrasts.
+    ``effects``, (blocks, 3), are the columns of b1, b2 and the hysteresis. ``basis`` is the basis
+    of the contrasts.
     """
     from scipy.special import fdtrc  # slow to import
 

@@ -2,12 +2,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Statistics of a noise process, derived from its gamma: one function for all processes.
 
+The time unit is the sample period, and the coefficient is 1.
+
+Method
+------
 Every statistic is a contrast: a sum of means with weights w_i whose sum is 0. The variance of a
 contrast is sum w_i w_j gamma(M, |i - j|), in which a constant in gamma cancels. The same formula
 therefore holds for bias instability and random walk, whose variance is infinite (generalized
 covariance; G. Matheron, The intrinsic random functions and their applications, 1973).
-
-The time unit is the sample period, and the coefficient is 1.
 """
 
 from __future__ import annotations

@@ -174,7 +174,7 @@ class Process:
         -------
         float64 array
             Autocovariance in the squared unit of the samples, up to a constant that is the same for
-            all M and j.
+            all M and j. It has the shape to which ``M`` and ``j`` broadcast.
         """
         raise NotImplementedError
 

@@ -31,7 +31,7 @@ from .timing import has_time
 
 BACKWARD_RUN = 16
 """If this number of consecutive samples is stamped earlier than the latest stamp, the clock was set
-back. Fewer such samples are dropped."""
+back. Fewer such samples are excluded."""
 
 JUMP_DISTANCE = 4096
 """Each time that the clock is set back again within this number of samples, twice as many
@@ -198,10 +198,10 @@ def are_ordered(samples: ImuBatch) -> bool:
 
 
 class CoveredTime:
-    """Drops samples of a time that is already covered, as when a recording is played again.
+    """Excludes samples of a time that is already covered, as when a recording is played again.
 
     ``covered`` are stretches of time that are covered before the first sample: (first, last) in ns.
-    Consecutive samples may have equal stamps. ``dropped`` is the number of dropped samples.
+    Consecutive samples may have equal stamps. ``dropped`` is the number of excluded samples.
     """
 
     def __init__(self, covered: Sequence[tuple[int, int]] = ()) -> None:

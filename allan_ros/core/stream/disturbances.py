@@ -3,9 +3,8 @@
 """Short disturbances, whose samples are replaced: isolated spikes and shocks.
 
 An isolated spike is replaced by the mean of its neighbors. A shock is a short motion after which
-all means are as before. Its samples are replaced by a line between these means and flagged, so that
-the segment continues: the flagged samples are excluded from short averages and only contribute to
-long ones.
+all means are as before. The samples of a shock are replaced by a line between these means and
+flagged, so the segment continues. Flagged samples only contribute to long averages.
 """
 
 from __future__ import annotations

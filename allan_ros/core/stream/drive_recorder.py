@@ -18,7 +18,8 @@ from .drives import REST_S, Drive, DriveErrors, Rest, drive_errors
 
 LEAST_STOP_S = 1.0
 """Shortest rest at both ends of a drive in s. The mean of the gyro over 1 s has an error of N, and
-a drive of 30 s then an angle error of 30 N s, five times that of the noise during the drive."""
+a drive of 30 s then has an angle error of 30 N s, five times the angle error due to the noise
+during the drive."""
 
 LEAST_DRIVE_S, LONGEST_DRIVE_S = 2.0, 180.0
 """Duration of drives that are used, in s. For longer ones the errors are not small any more, and a
@@ -81,7 +82,7 @@ class DriveRecorder:
         self._most = min(round((LONGEST_DRIVE_S + LONGEST_AHEAD_S) / tau0), MOST_KEPT)
         self._rest_samples = max(min(round(REST_S / tau0), MOST_KEPT), 1)
         self._raw: deque[ImuBatch] = deque()  # samples after the last one at rest
-        self._is_long = False  # whether samples were dropped, because a drive is too long
+        self._is_long = False  # whether samples were discarded, because a drive is too long
         # of the present rest: number of samples, its first and last samples
         self._at_rest = 0
         self._first: list[Floats] = []

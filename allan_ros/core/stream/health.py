@@ -36,7 +36,7 @@ RATE_CHANGE = 0.02
 
 REPORTED_DROPPED_SHARE = 0.02
 """Smallest share of samples with backward stamps that is reported. If stamps are bursty, the gaps
-after dropped samples cannot be found, and at this share N becomes 1 % too large."""
+after excluded samples cannot be found, and at this share N becomes 1 % too large."""
 
 REPORTED_INTERPOLATED_SHARE = 1e-3
 """Smallest share of interpolated samples that is reported."""
@@ -77,7 +77,7 @@ WEIGHTLESS = 0.05
 
 @dataclass
 class Counts:
-    """Numbers of used, dropped, lost and interpolated samples since the start of a stream.
+    """Numbers of used, excluded, lost and interpolated samples since the start of a stream.
 
     If the sensors have different rates, the counts of both sensor streams are added, except for
     ``received`` and ``skipped``. For one sensor stream, received + interpolated = used + skipped +
@@ -87,9 +87,9 @@ class Counts:
 
     received: int = 0
     used: int = 0  # in the sums, including interpolated ones
-    # dropped
+    # excluded
     skipped: int = 0  # in the warm-up time at the start, or of a time that was covered before
-    other_frame: int = 0  # with an earlier frame_id whose sums were dropped
+    other_frame: int = 0  # with an earlier frame_id whose sums were discarded
     not_finite: int = 0
     duplicate: int = 0  # the stamp and all values repeat the previous sample
     backward: int = 0  # the stamp is earlier than the latest one
@@ -98,7 +98,7 @@ class Counts:
     # missing according to the stamps
     lost: int = 0
     interpolated: int = 0  # lost samples that were interpolated
-    # not at rest, and dropped
+    # excluded, because they are not at rest
     moving: int = 0
     stuck: int = 0  # an axis repeats one value
     noise_increased: int = 0  # at rest, but the noise is much larger than the noise floor
@@ -190,7 +190,7 @@ class StreamHealth:
     # axis with heavy tails -> share of its samples that are outliers
     outliers: Mapping[str, float] = field(default_factory=dict)
     events: tuple[Event, ...] = ()  # shocks, motions and changes of the noise
-    dropped_frames: int = 0  # number of frame_ids whose sums were dropped
+    dropped_frames: int = 0  # number of frame_ids whose sums were discarded
     # axis -> smallest ratio of its noise to the noise floor; empty if none decreased much
     largest_decrease: Mapping[str, float] = field(default_factory=dict)
     stuck_axes: tuple[str, ...] = ()  # axes that repeated one value

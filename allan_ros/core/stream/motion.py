@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Motion detection: keeps the samples of an IMU at rest and drops the others.
+"""Motion detection: keeps the samples of an IMU at rest and excludes the others.
 
 Method
 ------
@@ -8,7 +8,7 @@ The stream is classified in windows of about half a second. A window is moving i
 largest deviation, the step of its mean or its mean rate exceeds a limit that is derived from the
 noise floor, the noise of the sensor at rest. A window of white noise is classified as moving with a
 probability below 1e-12, so N has no bias. Motion begins at higher limits than it ends (hysteresis).
-Some windows before and after a motion are dropped, too.
+Some windows before and after a motion are excluded, too.
 
 First, isolated spikes are replaced. If the noise has heavy tails, they are noise: they stay in the
 data and are not regarded as motion. The samples of a shock are replaced, too.
@@ -389,7 +389,7 @@ class MotionGate:
     def _decreases_to(self, learned: NoiseFloor, recent: RecentWindows) -> bool:
         """Begin another level if the noise decreased to a floor without a known fault.
 
-        If the noise before was that of a motion, the level before is dropped.
+        If the noise before was due to a motion, the level before is discarded.
         """
         floor = self._rest.floor
         decreased = floor.decreased(recent.windows)

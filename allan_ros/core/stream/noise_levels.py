@@ -155,12 +155,12 @@ class NoiseLevels:
         self.change: Change = 'noise_increased'
         self._began_ns = 0  # when the present level began to be tried
         self._other_is: Excluded = 'moving'  # what samples of the other level are, if not published
-        self._dropped = Counts()  # of the levels that were dropped
-        self._drops = 0  # number of levels that were dropped after they were the result
+        self._dropped = Counts()  # of the levels that were discarded
+        self._drops = 0  # number of levels that were discarded after they were the result
         self._first_ns: int | None = (
             None  # first sample of the first level, once another one begins
         )
-        self._last_ns = 0  # last sample of the level that was dropped last
+        self._last_ns = 0  # last sample of the level that was discarded last
 
     @property
     def published(self) -> NoiseLevel:

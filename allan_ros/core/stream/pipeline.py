@@ -79,7 +79,7 @@ class ImuStream:
         self._present = FrameStream(ImuIdentity('', hardware_id), *self._options)
         self._frame_changes = 0
         self._ended = False  # since the last sample
-        self._dropped = Counts()  # of frames whose sums were dropped
+        self._dropped = Counts()  # of frames whose sums were discarded
         self._dropped_frames = 0
 
     def update(self, batch: ImuBatch) -> None:
@@ -232,7 +232,7 @@ class ImuStream:
         notes += [finding('interleaved', sensor.axes) for sensor in mixed]
         if clock is not None:  # the stamps became usable later
             notes = [note for note in notes if note.id != 'stamps_missing']
-        # the share of the first samples is known earlier, that of all samples is better
+        # the share of clipped samples is known earlier from the first samples, and better from all
         if any(sensor.is_examined or sensor.lost for sensor in frame.sensors):
             notes = [note for note in notes if note.id != 'clipped']
         found = [*notes, *stream_findings(health, longest, self._settings)]

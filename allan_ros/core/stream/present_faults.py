@@ -29,8 +29,8 @@ def present_faults(
 ) -> tuple[Finding, ...]:
     """Return the known faults that explain why the latest windows are not at rest.
 
-    ``rows``, (axes, n), are the samples of the windows, and ``floor`` is the noise of the IMU.
-    ``seconds`` is the time since the last sample at rest.
+    ``rows``, (axes, n), are the samples of the windows in the unit of the messages, and ``floor``
+    is the noise of the IMU. ``seconds`` is the time since the last sample at rest in s.
     """
     found: list[Finding] = []
     for sensor in SENSORS:
@@ -57,7 +57,7 @@ def present_faults(
 
 
 def noise_now(health: StreamHealth, sums: Iterable[AllanSums]) -> list[Finding]:
-    """Return a finding for each axis whose present noise is larger than that of the Allan sums."""
+    """Return a finding for each axis whose noise now is larger than the noise in the Allan sums."""
     found = []
     for each in sums:
         for axis, avar in zip(each.axes, each.avar[0] if len(each.m) else ()):

@@ -62,7 +62,7 @@ class RecentWindows:
 
     @property
     def rows(self) -> Floats:
-        """The samples of all windows, (axes, n)."""
+        """The samples of all windows, (axes, n), in the unit of the messages."""
         return np.concatenate([part.samples.rows for part in self._parts], axis=1)
 
     @property
@@ -94,7 +94,10 @@ class RecentWindows:
 
     @property
     def white_noise(self) -> Floats:
-        """Standard deviation of the differences of neighboring samples / sqrt(2), (axes,)."""
+        """Standard deviation of the differences of neighboring samples / sqrt(2), (axes,).
+
+        The values are in the unit of the samples.
+        """
         return np.asarray(np.sqrt(0.5 * np.mean(np.diff(self.rows, axis=1) ** 2, axis=1)))
 
     @property

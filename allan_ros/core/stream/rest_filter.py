@@ -20,12 +20,12 @@ from .noise_floor import NoiseFloor, WindowClass, Windows, is_stuck
 from .noise_levels import Change, NoiseLevels
 
 MARGIN_BEFORE, MARGIN_AFTER_S = 1, 2.0
-"""What is dropped of the data at rest next to a motion: one window before it, and windows of at
-least 2 s after it."""
+"""What is excluded of the data at rest next to a motion: one window before the motion, and windows
+of at least 2 s after the motion."""
 
 
 class RestFilter:
-    """Passes on windows at rest, and drops or replaces the others.
+    """Passes on windows at rest, and excludes or replaces the others.
 
     Windows at rest are added to the present one of the ``levels``, whose noise floor decides.
     ``size`` is the number of samples in a window. ``motion`` is the present motion, if any, and
@@ -71,10 +71,11 @@ class RestFilter:
     def add(
         self, block: ImuBatch, windows: Windows, size: int, only_at_rest: bool = False
     ) -> tuple[Flags, WindowClass] | None:
-        """Pass on or drop windows of ``size`` samples; return which are at rest, and their class.
+        """Pass on or exclude k windows of ``size`` samples, and return their flags and class.
 
-        ``block`` contains their samples, and ``windows`` their statistics. With ``only_at_rest``,
-        nothing happens and None is returned if some of the windows are not at rest.
+        The flags, (k,), tell which windows are at rest. ``block`` contains the samples of the
+        windows, and ``windows`` their statistics. With ``only_at_rest``, nothing happens and None
+        is returned if some of the windows are not at rest.
         """
         follows = np.isfinite(self._last_mean).all() and not block.cut
         floor, before = self.floor, self._last_mean if follows else None

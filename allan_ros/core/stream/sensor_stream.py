@@ -60,7 +60,7 @@ class SensorStream:
         self._plan = plan
         self._former: StreamSums | None = None  # at the earlier rate with the most data
         self._settings = settings
-        self._counts = Counts()  # without those of the present levels
+        self._counts = Counts()  # without the counts of the present levels
         self._lost, self._lost_s = 0, 0.0  # at earlier rates
         self._former_ns = 0.0  # sample period before a change of the rate, until this is confirmed
         self._filter = SampleFilter(plan, self._counts)

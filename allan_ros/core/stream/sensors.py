@@ -1,7 +1,9 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Decides which axes form a stream, and drops or interpolates samples that were not measured.
+"""Decides which axes form a stream, and excludes or interpolates samples that were not measured.
 
+Repeated samples
+----------------
 Drivers that publish a slower accelerometer in every gyro message repeat its last sample (sample and
 hold), or fill it with zeros. Both change the noise (N of a 250 Hz accelerometer repeated at 400 Hz
 is 5 % too high). So each such sensor becomes a separate stream that contains only its measurements.
@@ -210,7 +212,7 @@ def plan_sensors(first: ImuBatch, only: str = '') -> tuple[list[SensorPlan], lis
     Returns a plan for each stream, and the findings about the sensors. The six axes are NaN where a
     sensor is absent. ``only`` is the sensor to use; '' for both.
     """
-    # without duplicate messages, which are dropped later
+    # without duplicate messages, which are excluded later
     rows = first.rows
     duplicate = (np.diff(first.stamps_ns) == 0) & (rows[:, 1:] == rows[:, :-1]).all(axis=0)
     rows = rows[:, np.concatenate([[True], ~duplicate])]

@@ -231,9 +231,10 @@ def _clock_of(step: Floats, stamps: Stamps, polled: bool, declared: float) -> Cl
 def rayleigh_period(stamps: Stamps, period: float, relative_range: float) -> float:
     """Return the sample period in ns, near ``period``, that fits stamps with jitter best.
 
-    It maximizes the Rayleigh statistic of the phases of the stamps t, |sum exp(2 pi i t / p)|, over
-    periods p that differ from ``period`` by at most the fraction ``relative_range`` (K. V. Mardia,
-    P. E. Jupp, Directional Statistics, 2000, section 6.3). Lost samples do not move the maximum.
+    ``stamps``, (n,), are in ns. The result maximizes the Rayleigh statistic of the phases of the
+    stamps t, |sum exp(2 pi i t / p)|, over periods p that differ from ``period`` by at most the
+    fraction ``relative_range`` (K. V. Mardia, P. E. Jupp, Directional Statistics, 2000,
+    section 6.3). Lost samples do not move the maximum.
     """
     step = np.diff(stamps) / period
     t = np.cumsum(np.where(step > PHASE_GAP, 1.0, step))

@@ -101,8 +101,10 @@ class Arrivals:
         self._offsets: deque[tuple[float, float]] = deque()  # reception and offset of each message
 
     def update(self, stamps_ns: NDArray[np.int64], received_s: NDArray[np.float64]) -> None:
-        """Process the next messages: stamps in ns, and times of reception on a steady clock in s.
+        """Process the next n messages.
 
+        ``stamps_ns``, (n,), are the stamps in ns, and ``received_s``, (n,), are the times of
+        reception on a steady clock in s.
         The statistics already contain the messages that were lost before and between these.
         """
         lost, self._lost = self._statistics.lost - self._lost, self._statistics.lost
@@ -145,7 +147,7 @@ class ConstantAxes:
         self._longest = np.zeros(len(AXES), np.int64)  # longest run that has ended, unless stuck
 
     def update(self, samples: NDArray[np.float64]) -> None:
-        """Process the next samples, (n, 6)."""
+        """Process the next samples, (n, 6), in any unit."""
         for i, column in enumerate(samples.T):
             changes = np.flatnonzero(column != np.append(self._last[i], column[:-1]))
             if len(changes):
@@ -313,7 +315,7 @@ class TransportMonitor:
         oldest = self._history[0][1]
         former = [old for then, old in self._history if then <= time_s - PRESENT_S] or [oldest]
         more, latest = _more(counts, oldest), _more(counts, former[-1])
-        # these samples were dropped because the clock was set back
+        # these samples were excluded because the clock was set back
         more['backward_stamps'] -= (BACKWARD_RUN - 1) * more['clock_jumps']
         found = event_findings(more, health, LATELY)
         if more['stamps_leapt'] > 0:
