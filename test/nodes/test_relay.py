@@ -201,6 +201,7 @@ def test_the_first_message_has_the_covariance_of_the_datasheet(graph, still_imu,
     for second in range(2, 6):  # the rate of the stamps
         graph.send(publisher, biased(200, 10**9 + second))
         graph.spin(0.2)
+    graph.until(lambda: len(received) == 1200)
     del received[:]
     graph.send(publisher, biased(1, 10**9 + 6))
     graph.until(lambda: received)
