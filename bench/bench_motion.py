@@ -8,11 +8,12 @@
 
 Each record is analyzed as a user does it: the noise at rest is measured from its own rests. The
 first 20 of 30 drives give the factors, the others are predicted. A row has for gyro and
-accelerometer the ratio of the errors (median), how often its interval lies above 1, the factor of N
-(median), how often its interval contains the true value, and how often K has a factor; how often
-each cause was named, and how often the intervals with all causes contain 1; and the mean square of
-the errors of the unused drives over its prediction with the noise at rest, with the factors, and
-with factors and causes (1 is right; medians).
+accelerometer the ratio of the errors (median), how often the sensor is called worse in motion (the
+99 % interval lies above 1), the factor of N (median), how often its interval contains the true
+value, and how often K has a factor; how often each cause was named, and how often the intervals
+with all causes contain 1; and the mean square of the errors of the unused drives over its
+prediction with the noise at rest, with the factors, and with factors and causes (1 is right;
+medians).
 """
 
 from __future__ import annotations
@@ -142,14 +143,14 @@ def row(name: str, found: list[Outcome]) -> str:
         each = [one.sensors[sensor] for one in motions]
         ratio = np.median([one.factor.value for one in each])
         white = [one.white or Estimate(1.0, (1.0, 1.0)) for one in each]
-        above = np.mean([one.factor.ci95[0] > 1.0 for one in each])
+        worse = np.mean([one.is_worse for one in each])
         inside = '  – '
         if true is not None:
             ends = np.array([one.ci95 for one in white])
             inside = f'{np.mean((ends[:, 0] <= true) & (ends[:, 1] >= true)):4.0%}'
         drift = np.mean([one.slow is not None for one in each])
         cells.append(
-            f'{sensor} {ratio:5.2f} above {above:4.0%} '
+            f'{sensor} {ratio:5.2f} worse {worse:4.0%} '
             f'N {np.median([one.value for one in white]):5.2f} {inside} K {drift:4.0%}'
         )
     named = Counter(cause.name for one in motions for cause in one.causes)

@@ -166,7 +166,7 @@ def _factors(motion: NoiseInMotion) -> Iterator[Finding]:
             'high': high,
             'drives': len(motion.drives),
         }
-        if low <= 1.0:
+        if not one.is_worse:
             yield finding('motion_as_at_rest', axes, **numbers)
             continue
         is_explained = left is not None and (left.value or 0.0) < EXPLAINED * value

@@ -7,8 +7,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from allan_ros.core.estimate import Estimate
 from allan_ros.core.filters.motion_factors import (
     LEAST_DRIVES,
+    TYPICAL_SHARE,
+    SensorInMotion,
     axis_noise,
     noise_in_motion,
 )
@@ -60,6 +63,24 @@ def test_an_imu_that_is_as_at_rest_has_the_factor_one() -> None:
     ]
     assert len(inside) == 5
     assert sum(inside) >= 3
+
+
+@pytest.mark.parametrize(
+    'factor, ends, worse',
+    [(1.2, (1.01, 1.43), False), (1.2, (1.1, 1.31), True), (0.8, (0.7, 0.9), False)],
+)
+def test_a_sensor_is_worse_if_the_99_percent_interval_lies_above_1(
+    factor: float, ends: tuple[float, float], worse: bool
+) -> None:
+    assert SensorInMotion(Estimate(factor, ends), None, None).is_worse is worse
+    assert not SensorInMotion(Estimate(factor, None), None, None).is_worse
+
+
+def test_an_unresolved_term_is_half_its_limit_if_another_drift_is_resolved() -> None:
+    model, lags = Model.of(N=1e-3, K=5e-5), np.arange(4.0)
+    known = axis_noise(Model.of(N=1e-3, B=TYPICAL_SHARE * 2e-4, K=5e-5), 0.02)
+    assumed = axis_noise(model, 0.02, {'B': 2e-4})
+    assert assumed.slow(1.0, lags) == pytest.approx(known.slow(1.0, lags))
 
 
 def test_fewer_drives_than_the_least_number_give_no_result() -> None:

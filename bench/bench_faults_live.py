@@ -1,0 +1,170 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The faults of bench_faults.py in real time: an Imu publisher, DDS, the monitor, `/diagnostics`.
+
+    python bench/bench_faults_live.py                  20 cells, 6 at a time, about 25 min
+    python bench/bench_faults_live.py --cells 40 --seed 7 --together 5
+
+The cells are drawn at random: a fault, from boot or in mid-run, that lasts or heals. A line has
+the time in s after which a status named the fault, the time from the end of the fault to the last
+status with a warning or an error, and the largest deviation of N of an axis from the truth in
+percent, which the monitor published at the end.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import random
+import subprocess
+import sys
+import time
+from collections import Counter
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+
+import numpy as np
+from bench_faults import (
+    AFTER_S,
+    BEGIN_S,
+    FAULTS,
+    HEALED_S,
+    LASTING_S,
+    LSB,
+    NAMED_S,
+    PHASE_S,
+    RATE,
+    SIGMA,
+    START_NS,
+    Messages,
+    cells,
+    messages_of,
+    rounded,
+    simulated,
+    with_fault,
+)
+
+from allan_ros.core.imu import AXES, ImuBatch
+
+FIRST_DOMAIN = 60
+"""ROS domain of the first cell; each cell that runs at the same time has its own domain."""
+
+
+def shown(client) -> tuple[set[str], list[str], str]:  # type: ignore[no-untyped-def]
+    """Return the ids of all findings, the texts of all warnings and errors, and the state."""
+    ids, troubles, state = set(), [], ''
+    for name, status in client.statuses.items():
+        for pair in status.values:
+            if pair.key.startswith('finding'):
+                ids |= {pair.value, pair.key.removeprefix('finding: ')}
+            elif pair.key == 'state' and name.endswith('input'):
+                state = pair.value
+        if status.level > b'\x00':
+            troubles.append(f'{name.rpartition(": ")[2]}: {status.message}')
+    return ids, troubles, state
+
+
+def largest_error(client) -> float:  # type: ignore[no-untyped-def]
+    """Return the largest deviation of a published N from the truth in percent; NaN without N."""
+    found = []
+    truths = np.sqrt(SIGMA**2 + LSB**2 / 12) / RATE**0.5
+    for axis, truth in zip(AXES, truths):
+        text = client.value(axis.replace('_', ' '), 'N [')  # in SI
+        if text and text[0].isdigit():
+            found.append(float(text) / truth - 1.0)
+    return 100.0 * max(map(abs, found), default=float('nan'))
+
+
+def cell(name: str, at_boot: bool, lasts_s: int | None, seed: int) -> str:
+    """Publish one fault to a monitor, and return what the statuses showed."""
+    from online_nodes import Client, node
+
+    from allan_ros.readers.cdr import encode_imus
+
+    fault, rng = FAULTS[name], np.random.default_rng([seed, at_boot, lasts_s or 0])
+    begin_s = 0.0 if at_boot else BEGIN_S + round(PHASE_S * rng.random(), 2)
+    end_s = begin_s + (lasts_s or LASTING_S)
+    seconds = end_s + (AFTER_S if lasts_s else 0)
+    whole = messages_of(rounded(simulated(seconds, rng)))
+    place = slice(round(begin_s * RATE), round(end_s * RATE))
+    sent = since_now(with_fault(whole, fault, place, rng))
+    payloads = encode_imus(ImuBatch(sent.stamps, sent.samples), 'cdr')
+    names = set(fault.names.split())
+    named, ill, said = float('inf'), 0.0, Counter[str]()
+    with node('monitor'):
+        client = Client()
+        publisher = client.publisher()
+        start, at, second = time.monotonic(), 0, 0
+        while at < len(payloads) or second < seconds:
+            now = time.monotonic() - start
+            while at < len(payloads) and sent.arrived_s[at] <= now:
+                publisher.publish(bytes(payloads[at]))
+                at += 1
+            if now > second:
+                second += 1
+                ids, troubles, state = shown(client)
+                if now > begin_s and names & {*ids, f'state:{state}'}:
+                    named = min(named, now - begin_s)
+                if troubles or state not in ('', 'at_rest'):
+                    ill = now
+                if lasts_s and now > end_s + HEALED_S:
+                    said.update(troubles or ([state] if state != 'at_rest' else []))
+            client.spin(0.02)
+        client.spin(2.0)
+        error = largest_error(client)
+    can_be_named = bool(names) and (fault.shows_at_boot or not at_boot)
+    parts = [f'named {named:4.0f} s' if can_be_named else 'named    –  ']
+    if lasts_s:
+        parts += [f'healed {max(0.0, ill - end_s):4.0f} s', f'N {error:4.1f} %']
+    in_time = not can_be_named or named <= NAMED_S + 1.0  # a status is shown once a second
+    heals = not lasts_s or ill <= end_s + HEALED_S
+    left = '; '.join(f'{text} ({count} s)' for text, count in said.most_common(2))
+    return '  '.join([*parts, 'ok' if in_time and heals else 'MISSED', left])
+
+
+def since_now(messages: Messages) -> Messages:
+    """Return the messages with stamps that begin now, except for stamps that are far from them."""
+    shift = time.time_ns() - START_NS
+    near = np.abs(messages.stamps - START_NS) < 10**14
+    return replace(messages, stamps=messages.stamps + shift * near)
+
+
+def main() -> None:
+    """Print a line for each cell."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
+    )
+    parser.add_argument('--cells', type=int, default=20, help='how many cells (default 20)')
+    parser.add_argument('--seed', type=int, default=0, help='of the choice and of the noise')
+    parser.add_argument('--together', type=int, default=6, help='cells at a time (default 6)')
+    parser.add_argument('--one', nargs=3, help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    if options.one:
+        name, begin, lasts = options.one
+        print(cell(name, begin == 'boot', int(lasts) or None, options.seed))
+        return
+    columns = list(cells(['boot', 'mid']))
+    every = [(name, column, boot, lasts) for name in FAULTS for column, boot, lasts in columns]
+    drawn = random.Random(options.seed).sample(every, options.cells)
+
+    def in_process(item: tuple[int, tuple[str, str, bool, int | None]]) -> str:
+        number, (name, column, boot, lasts) = item
+        command = [sys.executable, __file__, '--seed', str(options.seed)]
+        command += ['--one', name, 'boot' if boot else 'mid', str(lasts or 0)]
+        domain = str(FIRST_DOMAIN + number % options.together)
+        run = subprocess.run(
+            command,
+            env={**os.environ, 'ROS_DOMAIN_ID': domain},
+            capture_output=True,
+            text=True,
+        )
+        lines = (run.stdout or run.stderr).strip().splitlines()
+        return f'{name:18} {column:12} {lines[-1] if lines else "no output"}'
+
+    with ThreadPoolExecutor(options.together) as pool:
+        for line in pool.map(in_process, enumerate(drawn)):
+            print(line, flush=True)
+
+
+if __name__ == '__main__':
+    main()
