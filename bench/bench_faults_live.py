@@ -46,8 +46,8 @@ from bench_faults import (
 
 from allan_ros.core.imu import AXES, ImuBatch
 
-FIRST_DOMAIN = 60
-"""ROS domain of the first cell; each cell that runs at the same time has its own domain."""
+FIRST_DOMAIN, DOMAINS = 40, 60
+"""First ROS domain of the cells, and their number: cells that run at the same time share none."""
 
 
 def shown(client) -> tuple[set[str], list[str], str]:  # type: ignore[no-untyped-def]
@@ -151,7 +151,7 @@ def main() -> None:
         number, (name, column, boot, lasts) = item
         command = [sys.executable, __file__, '--seed', str(options.seed)]
         command += ['--one', name, 'boot' if boot else 'mid', str(lasts or 0)]
-        domain = str(FIRST_DOMAIN + number % options.together)
+        domain = str(FIRST_DOMAIN + number % DOMAINS)
         run = subprocess.run(
             command,
             env={**os.environ, 'ROS_DOMAIN_ID': domain},

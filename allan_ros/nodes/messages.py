@@ -173,7 +173,7 @@ def replaced_because(before: Sequence[AllanSums], snapshot: Snapshot) -> str:
     if found:
         message = texts_of(found[0]).message.rstrip('.')
         return f'{message[0].lower()}{message[1:]}'
-    return 'the IMU moved'
+    return 'the IMU moved or had a fault'
 
 
 def _lost(old: AllanSums, new: AllanSums) -> int:
