@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """`ros2 allan`: a command of ros2cli with the verbs of `allan`, and verbs for running nodes.
 
-ros2cli loads it through an entry point of the package; nothing else imports this module.
+ros2cli loads this module through an entry point of the package; no other module imports it.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ else:
 
 NODE_VERBS = {
     'watch': 'show /diagnostics of running nodes as a live table',
-    'check': 'without a file: show the state; exit code 0 ok, 3 warning, 4 error, 1 no node',
+    'check': 'without a file: state of the nodes; exit code 0 ok, 3 warning, 4 error, 1 no node',
 }
 """Verb for running nodes -> help text."""
 
 WITH_VALUE = ('--node', '--seconds', '--web')
-"""Options of these verbs that are followed by a value."""
+"""Options of the verbs in `NODE_VERBS` that are followed by a value."""
 
 
 class AllanCommand(Base):  # type: ignore[misc]
@@ -69,5 +69,7 @@ def _is_for_files(verb: str, words: list[str]) -> bool:
     """Return whether `allan` has this verb, and the arguments contain a file or ``--help``."""
     from .cli.main import VERBS
 
-    files = [w for last, w in zip(['', *words], words) if w[:1] != '-' and last not in WITH_VALUE]
-    return verb in VERBS and bool(files or {'-h', '--help'} & {*words})
+    file_names = [
+        w for last, w in zip(['', *words], words) if w[:1] != '-' and last not in WITH_VALUE
+    ]
+    return verb in VERBS and bool(file_names or {'-h', '--help'} & {*words})

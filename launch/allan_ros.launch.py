@@ -19,15 +19,15 @@ ARGUMENTS = {
     'imu': ('imu/data', 'Imu topic, or several separated by commas'),
     'accel': (
         '',
-        'topic of the accelerometer of each IMU, separated by commas, if it has its own topic',
+        'accelerometer topic of each IMU, separated by commas, if imu names gyro topics',
     ),
     'labels': ('', 'short name of each IMU, separated by commas; default: from the topics'),
     'namespace': ('', 'namespace of the nodes'),
     'sensor': ('', 'datasheet to compare with: a name in config/sensors, or a file'),
-    'baseline': ('', 'results.json of an earlier run to compare with'),
+    'baseline': ('', 'earlier results.json to compare with'),
     'checkpoint': (
         '',
-        'file that keeps the Allan sums over a restart; a folder for several IMUs',
+        'file that keeps the Allan sums for a restart; a folder for several IMUs',
     ),
     'hardware_id': ('', 'serial number of each IMU, separated by commas'),
     'relay': (
@@ -35,7 +35,7 @@ ARGUMENTS = {
         'true: republish with covariances, on imu/data_with_covariance, or on '
         '<imu>_with_covariance of each of several topics',
     ),
-    'apart': ('false', 'true: accumulator, estimator and relay in separate processes'),
+    'apart': ('false', 'true: run accumulator, estimator and relay in separate processes'),
     'use_sim_time': ('false', 'true: time comes from /clock'),
 }
 """Launch argument -> default and description; `config` is declared separately."""
@@ -68,7 +68,7 @@ def boolean(given, name):
 
 
 def items(text):
-    """Return the items of a list that are separated by commas."""
+    """Split a text at its commas, and return the items that are not empty."""
     return [word.strip() for word in text.split(',') if word.strip()]
 
 
@@ -77,15 +77,15 @@ def nodes(context):
     given = {name: LaunchConfiguration(name).perform(context) for name in (*ARGUMENTS, 'config')}
     overrides = {parameter: given[name] for name, parameter in PARAMETERS.items() if given[name]}
     topics = items(given['imu'])
-    several = len(topics) > 1
-    if several:
+    has_several_imus = len(topics) > 1
+    if has_several_imus:
         overrides['input.topics'] = topics
     for name, parameter in LISTS.items():
         if given[name]:
             overrides[parameter] = items(given[name])
     overrides['use_sim_time'] = boolean(given, 'use_sim_time')
-    relay = boolean(given, 'relay')
-    if relay:
+    has_relay = boolean(given, 'relay')
+    if has_relay:
         overrides['relay.enabled'] = True
 
     def node(executable, remappings):
@@ -100,18 +100,18 @@ def nodes(context):
 
     imu = ('imu/data', given['imu'])
     if not boolean(given, 'apart'):
-        return [node('allan_monitor', [] if several else [imu])]
-    if several:
+        return [node('allan_monitor', [] if has_several_imus else [imu])]
+    if has_several_imus:
         raise RuntimeError(f'apart:=true takes one IMU, but imu:={given["imu"]} names several')
-    apart = [
+    separate_nodes = [
         node('allan_accumulator', [imu]),
         node('allan_estimator', [('sums', 'allan_accumulator/sums')]),
     ]
-    if relay:
+    if has_relay:
         model = ('noise_model', 'allan_estimator/noise_model')
         bias = ('bias', 'allan_estimator/bias')
-        apart.append(node('allan_imu_relay', [imu, model, bias]))
-    return apart
+        separate_nodes.append(node('allan_imu_relay', [imu, model, bias]))
+    return separate_nodes
 
 
 def generate_launch_description():

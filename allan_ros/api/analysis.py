@@ -80,14 +80,14 @@ def results_of(
     Parameters
     ----------
     path : Results or path
-        Results are returned unchanged. The truth file of a simulated recording gives results with
-        the true noise.
+        Path of a recording, a JSON file or the folder of an analysis. The truth file of a simulated
+        recording gives results with the true noise. Results are returned unchanged.
     method : str
         Method of the fit of Allan sums and recordings.
     observer : Observer
         Shows the progress of reading a recording.
     segmenter : SegmenterSettings
-        How the data at rest of a recording are selected.
+        Settings for selecting the data at rest of a recording.
 
     Raises
     ------
@@ -108,12 +108,12 @@ def results_of(
 def is_document(path: str | os.PathLike[str]) -> bool:
     """Return whether a path is a JSON file or the folder of an analysis, and not a recording."""
     place = Path(path)
-    in_folder = any((place / name).is_file() for name in (RESULTS, SUMS))
-    return in_folder or place.suffix.lower() == '.json'
+    has_document = any((place / name).is_file() for name in (RESULTS, SUMS))
+    return has_document or place.suffix.lower() == '.json'
 
 
 @public
-@one_thread()  # for the Allan sums and spectra of the samples, too
+@one_thread()  # not only the fit, but also Allan sums and spectra are computed in one thread
 def analyze(
     source: Any,
     *,
@@ -137,10 +137,10 @@ def analyze(
     Parameters
     ----------
     source : path, Results, sequence of these, array, DataFrame, mapping of columns, or ImuBatch
-        Several paths or results must be of the same IMU, and give one common result. A path can
-        also contain the Allan sums of an earlier analysis: a folder, a sums.json, or a checkpoint.
-        Allan sums are added and fitted without reading the recordings again. Arrays are (n,) or
-        (n, axes), with one row per sample.
+        Several paths or results must be of the same IMU, and give one common result. A path may
+        also be an earlier analysis with its Allan sums: a folder, a sums.json, or a checkpoint.
+        These Allan sums are added and fitted without reading their recordings again. Arrays are
+        (n,) or (n, axes), with one row per sample.
     rate : float
         Sample rate in Hz. It is required for samples without stamps. The rate of a recording is
         only compared with this number; 0 disables this check.
@@ -205,42 +205,42 @@ def analyze(
     expect(str, hardware_id=hardware_id)
     expect(Integral, processes=processes)
     expect((PlainResults, *PATH), 'results or a path', noise=noise)
-    at_rest = (
+    rest_results = (
         noise if isinstance(noise, PlainResults) else load_results(noise) if str(noise) else None
     )
     if axes is not None:
         expect((str, Sequence), 'a text or a list', axes=axes)
-    given = list(source) if isinstance(source, (list, tuple)) else [source]
-    if given and all(isinstance(each, (PlainResults, *PATH)) for each in given):
+    sources = list(source) if isinstance(source, (list, tuple)) else [source]
+    if sources and all(isinstance(each, (PlainResults, *PATH)) for each in sources):
         if axes is not None:
             raise AllanError(
                 'axes are for arrays, not files: name the columns of a table with columns='
             )
-        has_sums = [isinstance(each, PlainResults) or is_document(each) for each in given]
-        stored = [_stored(each) for each, is_stored in zip(given, has_sums) if is_stored]
+        has_sums = [isinstance(each, PlainResults) or is_document(each) for each in sources]
+        earlier_sums = [_stored(each) for each, is_stored in zip(sources, has_sums) if is_stored]
         jobs = [
             ReadJob(str(path), reading, segmenter, hardware_id, True)
-            for path, is_stored in zip(given, has_sums)
+            for path, is_stored in zip(sources, has_sums)
             if not is_stored
         ]
         in_parallel = min(processes, len(jobs)) > 1
-        read = read_in_processes(jobs, processes) if in_parallel else read_in_turn(jobs)
-        recorded = add_recordings([*read, *stored])
+        new_sums = read_in_processes(jobs, processes) if in_parallel else read_in_turn(jobs)
+        recorded = add_recordings([*new_sums, *earlier_sums])
     else:
         from ..readers.arrays import recording_in_memory
 
         recording = recording_in_memory(source, reading, axes)
         job = ReadJob(recording.info.path, reading, segmenter, hardware_id, True)
         recorded = read_recording(job, recording)
-    results = Results.of(analyze_recorded(recorded, method, at_rest))
+    results = Results.of(analyze_recorded(recorded, method, rest_results))
     return compared(results, sensor, baseline, margin)
 
 
 def read_settings(options: Mapping[str, Any], rate: float) -> tuple[ReadOptions, SegmenterSettings]:
     """Divide options into settings for reading, and settings for selecting the data at rest.
 
-    Both contain the sample rate in Hz, 0 for none. Raises AllanError if an option is unknown or
-    invalid.
+    Both settings contain the sample ``rate`` in Hz, 0 if it is not stated. Raises AllanError if an
+    option is unknown or invalid.
     """
     check_rate(rate)
     of_reading = [name for name in describe(ReadOptions) if name != 'rate_hz']
@@ -256,5 +256,8 @@ def _stored(source: PlainResults | str | os.PathLike[str]) -> RecordingSums:
     if not isinstance(source, PlainResults):
         return load_sums(source)
     if source.recorded is None:
-        raise AllanError('these results were read without their sums: give the folder or sums.json')
+        raise AllanError(
+            'these results were read from a file without their sums: give the folder of the '
+            'analysis or its sums.json'
+        )
     return source.recorded

@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The public classes of results, which add texts, export, plots and files to the plain data.
 
-The modules for an output are imported when the output is made, because most analyses make few of
-the outputs.
+The modules that make an output are imported when this output is requested, because most analyses
+make few kinds of output.
 """
 
 from __future__ import annotations
@@ -41,11 +41,14 @@ R = TypeVar('R', bound=PlainResults)
 
 
 def public(function: Callable[P, T]) -> Callable[P, T]:
-    """Decorate a public function so that its errors are AllanErrors with complete texts."""
+    """Decorate a public function so that it raises AllanErrors with complete texts.
+
+    Errors of the operating system become AllanErrors, too.
+    """
     checked = with_checked_paths(function)
 
     @wraps(function)
-    def told(*args: P.args, **given: P.kwargs) -> T:
+    def with_explained_errors(*args: P.args, **given: P.kwargs) -> T:
         try:
             return checked(*args, **given)
         except AllanError as error:
@@ -53,7 +56,7 @@ def public(function: Callable[P, T]) -> Callable[P, T]:
 
             raise explained(error) from error.__cause__
 
-    return told
+    return with_explained_errors
 
 
 class Results(PlainResults):
@@ -72,7 +75,7 @@ class Results(PlainResults):
         return verdict_of(self)
 
     def messages(self, units: str = 'deg/h') -> list[str]:
-        """Return the texts of the findings, the most important first.
+        """Return the texts of the findings, the most important finding first.
 
         ``units`` is 'deg/h' or 'SI'. Raises AllanError for other units.
 
@@ -118,7 +121,7 @@ class Results(PlainResults):
         Raises
         ------
         AllanError
-            When the units are unknown.
+            When ``units`` is not 'deg/h' or 'SI'.
         """
         from ..view.coefficient_table import coefficient_list
         from ..view.table import records
@@ -139,26 +142,29 @@ class Results(PlainResults):
         what : str
             'gyro' or 'accel' for all axes of a sensor, or the name of an axis.
         ax : matplotlib Axes, optional
-            Axes to draw into; by default, a figure with a panel for each axis is created.
+            Axes to draw into. By default, a figure with a panel for each axis of the IMU is
+            created.
         units : 'deg/h' or 'SI'
             Units of the figure.
 
         Returns
         -------
         matplotlib Axes or Figure
-            The given axes, or the created figure.
+            The given Axes, or the created figure.
 
         Raises
         ------
         AllanError
-            When there is no such sensor or axis, or an argument is invalid.
+            When the results have no sensor or axis ``what``, or an argument is invalid.
         """
         from ..view.plots import draw_axes, sensor_figure
 
         choose(UNIT_SYSTEMS, units=units)
         names = [name for name in self.axes if what in (name, sensor_of(name))]
         if not names:
-            raise AllanError(f'there is no {what!r}: choose one of {", ".join(self.axes)}')
+            raise AllanError(
+                f'there is no axis or sensor {what!r}: choose one of {", ".join(self.axes)}'
+            )
         axes = {name: self.axes[name] for name in names}
         if ax is None:
             return sensor_figure(replace(self, axes=axes), sensor_of(names[0]), units=units)
@@ -176,7 +182,7 @@ class Results(PlainResults):
         Parameters
         ----------
         target : str
-            An export target that `allan export --list` lists, such as 'kalibr'.
+            An export target from the list of `allan export --list`, such as 'kalibr'.
         path : path, optional
             File or folder to which the text is also written.
         **options
@@ -217,8 +223,8 @@ class Results(PlainResults):
         units : 'deg/h' or 'SI'
             Units of the report and the figures.
         targets : sequence of str
-            Export targets that `allan export --list` lists. Their files are written in addition to
-            the file of Kalibr.
+            Export targets from the list of `allan export --list`. The files for these targets are
+            written in addition to the file for Kalibr.
         plots : sequence of str
             File formats of figures that are written in addition to the report: 'png', 'svg', 'pdf'.
         overwrite : bool
@@ -227,7 +233,7 @@ class Results(PlainResults):
         Raises
         ------
         AllanError
-            When the Allan sums are not known, an argument is invalid, the folder has results of
+            When the results have no Allan sums, an argument is invalid, the folder has results of
             another recording, or a file cannot be written.
         """
         from ..view.result_files import write_result_files
@@ -256,19 +262,19 @@ class Results(PlainResults):
             A name that `allan sensors` lists, or the path of a .yaml file; '' for no datasheet.
         baseline : Results or path
             An earlier run: results, or the path of a results.json, a sums.json or the folder of an
-            analysis; '' for none.
+            analysis; '' for no earlier run.
         margin : float, optional
             Fraction by which a coefficient may exceed a limit of the datasheet or the earlier run.
             A coefficient exceeds a limit if its complete 95 % interval lies above
-            limit * (1 + margin). By default, the margin of the results, which is 0.2 unless it was
-            changed.
+            limit * (1 + margin). The default is the margin of the results, which is 0.2 unless it
+            was changed.
 
         Returns
         -------
         Verdict
-            The verdict has the fields ``level``, ``summary``, ``reasons`` and ``next_steps``. The
-            level is 'healthy', 'attention', 'unknown' or 'failed', or 'measured' if there is
-            nothing to compare with.
+            ``level``, ``summary``, ``reasons`` and ``next_steps``. The level is 'healthy',
+            'attention', 'unknown' or 'failed', or 'measured' if there is neither a datasheet nor an
+            earlier run.
 
         Raises
         ------
@@ -293,7 +299,7 @@ class Results(PlainResults):
         baseline: PlainResults | str | os.PathLike[str] = '',
         margin: float | None = None,
     ) -> Results:
-        """Return a copy of the results that is compared with a datasheet, an earlier run, or both.
+        """Return a copy of the results, compared with a datasheet, an earlier run, or both.
 
         Arguments and errors are the same as in `check`.
         """
@@ -304,9 +310,9 @@ class Datasheet(PlainDatasheet):
     __doc__ = PlainDatasheet.__doc__
 
     def results(self, rate: float = DEFAULT_RATE_HZ) -> Results:
-        """Return the noise model of the datasheet as results of an IMU with a sample rate in Hz.
+        """Return the noise model of the datasheet as results of an IMU with the sample rate in Hz.
 
-        The model has the stated N and B; if the datasheet states no B, a typical one is assumed.
+        The model has the stated N and B; if the datasheet states no B, a typical B is assumed.
         Raises AllanError if the datasheet states no N of an axis.
         """
         return Results.of(results_of_datasheet(self, rate))
@@ -330,18 +336,19 @@ def compared(
     baseline: PlainResults | str | os.PathLike[str] = '',
     margin: float | None = None,
 ) -> R:
-    """Return a copy of the results that is compared with a datasheet, an earlier run, or both.
+    """Return a copy of the results, compared with a datasheet, an earlier run, or both.
 
-    A comparison with a datasheet that the results already contain is repeated with the new margin.
+    If no datasheet is given, and the results already contain one, the comparison with that
+    datasheet is repeated with the new margin.
 
     Parameters
     ----------
     results : Results
         The results to compare.
     sensor : Datasheet, str or path
-        A datasheet, its name or its path; '' for none.
+        A datasheet, its name or its path; '' for no new datasheet.
     baseline : Results or path
-        Results of an earlier run, or their path; '' for none.
+        Results of an earlier run, or their path; '' for no earlier run.
     margin : float, optional
         Fraction by which a limit may be exceeded; by default, the margin of the results.
 
@@ -352,11 +359,11 @@ def compared(
     """
     expect((PlainResults, *PATH), 'results or a path', baseline=baseline)
     expect((PlainDatasheet, *PATH), 'a datasheet or its name', sensor=sensor)
-    stated = results.margin if margin is None else margin
-    expect(Real, margin=stated)
-    if not stated >= 0.0:
-        raise AllanError(f'margin is {stated:g}: give 0 or more')
-    results = replace(results, margin=stated)
+    used_margin = results.margin if margin is None else margin
+    expect(Real, margin=used_margin)
+    if not used_margin >= 0.0:
+        raise AllanError(f'margin is {used_margin:g}: give 0 or more')
+    results = replace(results, margin=used_margin)
     if isinstance(baseline, PlainResults):
         results = replace(results, baselines={'the earlier run': baseline})
     elif str(baseline):
@@ -365,7 +372,7 @@ def compared(
     sheet = results.datasheet
     if sensor:
         sheet = sensor if isinstance(sensor, PlainDatasheet) else load_sensor(str(sensor))
-    return results if sheet is None else results.against_datasheet(sheet, stated)
+    return results if sheet is None else results.against_datasheet(sheet, used_margin)
 
 
 @public

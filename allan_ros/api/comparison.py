@@ -80,8 +80,8 @@ def compare(
     *sources : Results or path
         Results of `analyze` or `load`, or paths of a results.json, a sums.json, the folder of an
         analysis, a recording, or the truth file of a simulated recording. If there is a truth file,
-        the others are compared with the truth. In the output, paths are named after their files,
-        and results A, B, C ...
+        the other inputs are compared with the truth. In the output, each path has the name of its
+        file. Results of `analyze` or `load` have the names A, B, C ...
     sensor : str or sequence of str
         Datasheets to compare each recording with: names that `allan sensors` lists, or paths of
         .yaml files.
@@ -89,7 +89,8 @@ def compare(
         A coefficient exceeds the limit of a datasheet if its complete 95 % interval lies above
         limit * (1 + margin).
     within : float
-        Fraction up to which coefficients are tested for equality; 0 for no such test.
+        Fraction by which coefficients may differ and are still regarded as the same. Whether they
+        are the same is tested only if this fraction is not 0.
     method : str
         Method of the fit of Allan sums and recordings, as in `analyze`; results are not fitted
         again.
@@ -99,10 +100,10 @@ def compare(
     Returns
     -------
     RunComparison
-        ``differences`` are the comparisons of each recording with the first recording, ``checked``
-        are the results compared with the datasheets, and ``differs`` is whether any difference is
-        significant or any limit is exceeded. With ``within``, ``equivalent`` is whether the
-        recordings are the same up to this fraction.
+        ``differences`` are the comparisons of each recording with the first recording, and
+        ``checked`` are the results compared with the datasheets. ``differs`` states whether any
+        difference is significant or any limit is exceeded. If ``within`` is given, ``equivalent``
+        states whether the coefficients are the same up to this fraction.
 
     Raises
     ------
@@ -119,20 +120,22 @@ def compare(
     """
     ResultSettings(method=method, margin=margin)  # raises an error before recordings are read
     check_range(0.0, 10.0, within=within)
-    expect((*PATH, *LIST), 'a datasheet or a list of them', sensor=sensor)
+    expect((*PATH, *LIST), 'a datasheet or a list of datasheets', sensor=sensor)
     sensors = [sensor] if isinstance(sensor, PATH) else sensor
     sheets = [load_sensor(str(name)) for name in sensors]
     sources = tuple(sorted(sources, key=lambda s: not (isinstance(s, PATH) and is_truth(s))))
-    paths = [
+    unshortened_names = [
         chr(ord('A') + i) if isinstance(s, PlainResults) else str(s) for i, s in enumerate(sources)
     ]
-    names = labels_of(paths)
-    if len({*names}) < len(names):
+    labels = labels_of(unshortened_names)
+    if len({*labels}) < len(labels):
         raise AllanError('an input is given twice: give different recordings')
     if len(sources) + len(sheets) < 2 or not sources:
-        raise AllanError('nothing to compare: give two recordings, or one and a datasheet')
+        raise AllanError(
+            'nothing to compare: give two recordings, or one recording and a datasheet'
+        )
     runs = (results_of(source, method, observer) for source in sources)
-    return RunComparison(**vars(compare_runs(dict(zip(names, runs)), sheets, margin, within)))
+    return RunComparison(**vars(compare_runs(dict(zip(labels, runs)), sheets, margin, within)))
 
 
 @public
@@ -145,9 +148,9 @@ def common(*sources: Any, rate: float = 0.0, **options: Any) -> CommonResult:
     Parameters
     ----------
     *sources : path, DataFrame, mapping of columns, or ImuBatch
-        One recording of each IMU, or a bag with one Imu topic for each IMU. The axes of a single
-        IMU are compared with each other. In the output, the IMUs are named after their files or
-        topics, and samples in memory A, B, C ...
+        One recording of each IMU, or a bag with one Imu topic for each IMU. If there is only one
+        IMU, its axes are compared with each other. In the output, each IMU has the name of its file
+        or topic. Samples in memory have the names A, B, C ...
     rate : float
         Sample rate in Hz, as in `analyze`.
     **options
@@ -157,8 +160,9 @@ def common(*sources: Any, rate: float = 0.0, **options: Any) -> CommonResult:
     -------
     CommonResult
         ``rows`` contains for each axis of each IMU: N as measured, the own N with its interval, and
-        the coherence with the mean of the other IMUs at each averaging time. Three or more IMUs
-        have separate own N. For two IMUs, only the mean of both is known.
+        the coherence with the mean of the other IMUs at each averaging time. With three or more
+        IMUs, the own N of each IMU is measured. With two IMUs, only the root mean square of their
+        two own N is measured, and both have this value.
 
     Raises
     ------
@@ -169,8 +173,8 @@ def common(*sources: Any, rate: float = 0.0, **options: Any) -> CommonResult:
     --------
     >>> import numpy as np
     >>> import allan_ros as ar
-    >>> vibration, *own = 1e-3 * np.random.default_rng(0).normal(size=(4, 20_000))
-    >>> three = ar.common(*({'gyro_z': 3.0 * vibration + one} for one in own), rate=100)
+    >>> vibration, *noises = 1e-3 * np.random.default_rng(0).normal(size=(4, 20_000))
+    >>> three = ar.common(*({'gyro_z': 3.0 * vibration + noise} for noise in noises), rate=100)
     >>> row = three.rows[0]
     >>> round(row.measured.value, 4), round(row.own.value, 4)
     (0.0003, 0.0001)
@@ -182,7 +186,7 @@ def common(*sources: Any, rate: float = 0.0, **options: Any) -> CommonResult:
     reading, settings = read_settings(options, rate)
     places = [Path(source).resolve() for source in sources if isinstance(source, PATH)]
     if len({*places}) < len(places):
-        raise AllanError('a recording is given twice: give one of each IMU')
+        raise AllanError('a recording is given twice: give one recording of each IMU')
     recordings: dict[str, Recording] = {}
     paths = [str(s) if isinstance(s, PATH) else chr(ord('A') + i) for i, s in enumerate(sources)]
     for source, path, label in zip(sources, paths, labels_of(paths)):
@@ -194,7 +198,7 @@ def common(*sources: Any, rate: float = 0.0, **options: Any) -> CommonResult:
             name = topic if topics[1:] and len(sources) == 1 else f'{label} {topic}'.strip()
             recordings[name] = ReadJob(path, replace(reading, topic=topic)).open()
     if not recordings:
-        raise AllanError('no recording is given: give one of each IMU')
+        raise AllanError('no recording is given: give one recording of each IMU')
     found = common_of(recordings, settings)
     return CommonResult(found.rows, found.findings)
 
@@ -207,7 +211,7 @@ def inflate(
     horizon: float = 30.0,
     observer: Observer = Silent(),
 ) -> Inflation:
-    """Measure by which factor running motors increase the IMU noise of a robot at rest.
+    """Measure the factor by which running motors increase the IMU noise of a robot at rest.
 
     A state estimator that uses the noise with motors off should multiply N and K by the resulting
     factors.
@@ -229,7 +233,7 @@ def inflate(
     -------
     Inflation
         ``axes`` contains N and K of each axis with motors off and on, and their ratio, such as
-        ``axes['gyro_x']['N'].factor``. ``factor`` is the largest factor for N of all axes.
+        ``axes['gyro_x']['N'].factor``. ``factor`` is the largest of the factors for N of all axes.
         ``option`` states the largest factor for N of each sensor, as `allan export --inflate`
         accepts it.
 
@@ -241,17 +245,17 @@ def inflate(
     Examples
     --------
     >>> import allan_ros as ar
-    >>> off = ar.analyze(ar.simulate(hours=0.1, rate=50, seed=1, gyro={'N': 0.25}))
-    >>> on = ar.analyze(ar.simulate(hours=0.1, rate=50, seed=2, gyro={'N': 0.5}))
-    >>> round(ar.inflate(off, on).axes['gyro_x']['N'].factor, 1)
+    >>> motors_off = ar.analyze(ar.simulate(hours=0.1, rate=50, seed=1, gyro={'N': 0.25}))
+    >>> motors_on = ar.analyze(ar.simulate(hours=0.1, rate=50, seed=2, gyro={'N': 0.5}))
+    >>> round(ar.inflate(motors_off, motors_on).axes['gyro_x']['N'].factor, 1)
     2.0
     """
     check_range(1e-3, 1e9, 's', horizon=horizon)
     motors_off = results_of(rest, observer=observer)
     all_samples = SegmenterSettings(motion_gate=False)
     motors_on = results_of(running, 'likelihood', observer, all_samples)
-    fits = [
+    fits_off_and_on = [
         {axis: r.fit for axis, r in results.axes.items()} for results in (motors_off, motors_on)
     ]
-    axes = measure_inflation(fits[0], fits[1], horizon)
+    axes = measure_inflation(fits_off_and_on[0], fits_off_and_on[1], horizon)
     return Inflation(axes, compare_runs({REST: motors_off, RUNNING: motors_on}), horizon)

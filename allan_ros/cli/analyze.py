@@ -53,14 +53,16 @@ from .console import EXIT_ERROR, Console, colored, width
 from .options import Command, Option, Settings, settings_of
 from .result_lines import findings_lines, results_lines
 
-EXITS = {EXIT_FAILED: 'with --fail-on: a finding of that severity, or a limit exceeded'}
+EXITS = {
+    EXIT_FAILED: 'with --fail-on: a finding of that or a higher severity, or an exceeded limit'
+}
 """Exit codes that only `analyze` has."""
 
 FAIL_ON = (
     Option(
         ('--fail-on',),
-        f'exit with {EXIT_FAILED} at a finding of this severity, or if a limit of the datasheet '
-        'or the earlier run is exceeded',
+        f'exit with {EXIT_FAILED} at a finding of this or a higher severity, or if a limit of the '
+        'datasheet or the earlier run is exceeded',
         '{warning,error}',
         choices=('warning', 'error'),
     ),
@@ -69,14 +71,15 @@ FAIL_ON = (
 READ: tuple[Option | Settings, ...] = (
     Option(
         ('--rate',),
-        'sample rate, to check the stamps, or to replace missing stamps',
+        'sample rate, with which the stamps are compared, and from which missing stamps are '
+        'computed',
         'HZ',
         parse=float,
         default=0.0,
     ),
     Option(
         ('--hardware-id',),
-        'serial number of the IMU; sums with different numbers are never added',
+        'serial number of the IMU; Allan sums with different serial numbers are never added',
         'TEXT',
         default='',
     ),
@@ -86,7 +89,12 @@ READ: tuple[Option | Settings, ...] = (
 """Options for reading recordings and selecting the data at rest."""
 
 INPUTS = (
-    Option(('inputs',), 'recording, earlier sums, or a folder of recordings', 'INPUT', nargs='+'),
+    Option(
+        ('inputs',),
+        'recording, Allan sums of an earlier analysis, or a folder of recordings',
+        'INPUT',
+        nargs='+',
+    ),
     Option(
         ('-o', '--output'),
         'folder for the results and the report (default: none)',
@@ -106,8 +114,8 @@ STORAGES = ('.mcap', '.db3')
 """Suffixes of bag files, which can be parts of a split bag."""
 
 SPLIT = re.compile(r'^(.*)_(0|[1-9]\d*)$')
-"""Pattern of the name of a part of a split bag, without suffix. rosbag2 appends a number, from 0
-on, to the name of the bag."""
+"""Pattern of the file name, without suffix, of a part of a split bag. rosbag2 appends the number of
+the part, from 0 on, to the name of the bag."""
 
 
 def recordings_in(path: str, files_are_units: bool = False) -> list[str]:
@@ -153,7 +161,7 @@ def read_jobs(
     args : Namespace
         Arguments of the command line.
     with_context : bool
-        Whether the data for a report are read, too: signals and events.
+        Whether the signals and events for a report are read, too.
 
     Raises
     ------
@@ -166,7 +174,9 @@ def read_jobs(
     reading = settings_of(ReadOptions, args, rate_hz=args.rate)
     segmenter = settings_of(SegmenterSettings, args, declared_rate=args.rate)
     if args.serial_from and args.hardware_id:
-        raise AllanError('--hardware-id and --serial-from both state serial numbers: give one')
+        raise AllanError(
+            '--hardware-id and --serial-from both state serial numbers: give only one of them'
+        )
     return [ReadJob(path, reading, segmenter, args.hardware_id, with_context) for path in paths]
 
 
@@ -182,19 +192,23 @@ def run(args: argparse.Namespace) -> int:
     paths = [path for given in args.inputs for path in recordings_in(given)]
     jobs = read_jobs(paths, args, bool(args.output))
     if len(paths) == 1 or (len(paths) > len(args.inputs) and not are_two_sensors(jobs)):
-        separate = split_by_topic(jobs)
-        if len(separate) > 1:
-            return run_batch(separate, args)
+        topic_jobs = split_by_topic(jobs)
+        if len(topic_jobs) > 1:
+            return run_batch(topic_jobs, args)
     if args.serial_from:
         rule = SerialRule(args.serial_from)
         jobs = [replace(job, hardware_id=rule.serial_of(job.path)) for job in jobs]
-    stored = [load_sums(job.path) for job in jobs if is_document(job.path)]
-    outcomes = list(_read_all([job for job in jobs if not is_document(job.path)], args, console))
-    failed = [outcome for outcome in outcomes if isinstance(outcome, Finding)]
-    recordings = [outcome for outcome in outcomes if not isinstance(outcome, Finding)]
-    if not recordings and not stored:
-        raise AllanError('; '.join(finding_line(finding) for finding in failed))
-    return show_results(add_recordings([*recordings, *stored]).with_findings(failed), args)
+    earlier_sums = [load_sums(job.path) for job in jobs if is_document(job.path)]
+    read_outcomes = list(
+        _read_all([job for job in jobs if not is_document(job.path)], args, console)
+    )
+    lost_recordings = [outcome for outcome in read_outcomes if isinstance(outcome, Finding)]
+    recordings = [outcome for outcome in read_outcomes if not isinstance(outcome, Finding)]
+    if not recordings and not earlier_sums:
+        raise AllanError('; '.join(finding_line(finding) for finding in lost_recordings))
+    return show_results(
+        add_recordings([*recordings, *earlier_sums]).with_findings(lost_recordings), args
+    )
 
 
 def are_two_sensors(jobs: Sequence[ReadJob]) -> bool:
@@ -230,33 +244,34 @@ def show_results(recorded: RecordingSums, args: argparse.Namespace) -> int:
     """
     console, settings = Console.of(args), settings_of(ResultSettings, args)
     results, names = fit_and_write(recorded, args, args.output)
-    not_written = [name for name in args.export if target_of(name).file_name not in names]
-    written = one_line(f'written to {args.output}: {", ".join(names)}') if names else ''
+    missing_targets = [name for name in args.export if target_of(name).file_name not in names]
+    written_text = one_line(f'written to {args.output}: {", ".join(names)}') if names else ''
     if console.json:
         console.document(result_document(results, settings.units))
         if not console.quiet:
             lines = findings_lines(results, settings.units, width(), colored(sys.stderr), True)
             print('\n'.join(lines).strip(), file=sys.stderr)
-        if written:
-            console.say(written)
-    elif not (console.quiet and written):
+        if written_text:
+            console.say(written_text)
+    elif not (console.quiet and written_text):
         verdict = verdict_of(results, settings.units)
         style = width(), colored(sys.stdout), console.verbose
         print('\n'.join(results_lines(results, verdict, settings.units, *style)))
-        if written:
-            print(f'\n{written}')
-    if not_written:
+        if written_text:
+            print(f'\n{written_text}')
+    if missing_targets:
         why = next(f for f in results.findings if f.id == 'file_left_out')
         print(f'allan analyze: {why}', file=sys.stderr)
-    return exit_code_of(results, args.fail_on) or (EXIT_ERROR if not_written else 0)
+    return exit_code_of(results, args.fail_on) or (EXIT_ERROR if missing_targets else 0)
 
 
 def _read_all(
     jobs: Sequence[ReadJob], args: argparse.Namespace, console: Console
 ) -> Iterator[RecordingSums | Finding]:
-    """Yield the Allan sums of the recordings, read in this process, in several, or on a cluster.
+    """Yield the Allan sums of each recording.
 
-    For a recording that was lost with its worker, the finding about this is yielded.
+    The recordings are read in this process, in several processes, or on a cluster. If workers
+    crashed when they read a recording, a finding is yielded instead of its Allan sums.
     """
     if args.scheduler and jobs:
         for recorded in on_cluster(jobs, args.scheduler, console):
@@ -271,7 +286,7 @@ def _read_all(
 
 
 def check(args: argparse.Namespace) -> int:
-    """Print the verdict on each unit; return the exit code of the worst unit."""
+    """Print the verdict on each unit (IMU); return the exit code of the worst unit."""
     _check_references(settings_of(ResultSettings, args))
     if args.plan:
         load_plan(args.plan)
@@ -290,18 +305,20 @@ def check(args: argparse.Namespace) -> int:
         )
     jobs = [read_jobs(paths, args, bool(args.output)) for paths in units.values()]
     short_names = names_of([unit_jobs[0] for unit_jobs in jobs])
-    unread = [one for given in args.inputs for one in unread_units(given)]
-    return run_check([BatchItem(*unit) for unit in zip(units, jobs, short_names)], args, unread)
+    unread_outcomes = [one for given in args.inputs for one in unread_units(given)]
+    return run_check(
+        [BatchItem(*unit) for unit in zip(units, jobs, short_names)], args, unread_outcomes
+    )
 
 
 ANALYZE_TEXT = f"""
 Measure the noise of an IMU from its recordings.
 
 An input is a rosbag2 folder, a file ({', '.join(SUFFIXES)}), or
-the sums of an earlier analysis: its folder, sums.json, or the checkpoint of a node. Several inputs
-must be of the same IMU: their sums are added. A folder of separate recordings is a batch: each
-recording has its own results, and a summary lists all. The same applies to a bag with several Imu
-topics.
+the Allan sums of an earlier analysis: its folder, sums.json, or the checkpoint of a node. Several
+inputs must be of the same IMU: their Allan sums are added. A folder of separate recordings is a
+batch: each recording has its own results, and a summary lists all recordings. The same applies to a
+bag with several Imu topics.
 
   allan analyze my_bag -o results
   allan analyze monday.mcap results_of_tuesday -o results --export openvins,px4
@@ -377,7 +394,7 @@ CHECK = Command(
         0: 'every unit meets every limit, and nothing makes it suspect',
         EXIT_FAILED: 'a unit failed; of several units, the first of 70, 3, 1 and 4 that occurs '
         'is the exit code',
-        EXIT_UNJUDGED: 'a unit is not judged because of the data: too few, a warning, or '
-        'nothing to compare with',
+        EXIT_UNJUDGED: 'a unit is not judged: there are too few data, a warning, or nothing to '
+        'compare with',
     },
 )

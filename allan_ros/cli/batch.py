@@ -51,20 +51,20 @@ EXIT_FAILED, EXIT_UNJUDGED = int(Decision.EXCEEDS), int(Decision.NOT_JUDGED)
 CHECK_SCHEMA = 'allan_ros/unit_check/1'
 
 UNREAD = (str(int(Decision.UNREADABLE)), str(int(Decision.BUG)))
-"""Exit codes of units without results, as a summary contains them."""
+"""Exit codes of units without results, as text in a summary."""
 
 MAX_SUMMARY = 100_000_000
 """Largest number of bytes that are read from a summary."""
 
 MOST_NAMED = 10
-"""Largest number of unit names that the totals contain for each verdict."""
+"""Largest number of names of units that the line with the totals contains for each verdict."""
 
 
 @dataclass(frozen=True)
 class BatchItem:
     """One unit (IMU) of a batch: its name in the summary, and the jobs that read its recordings.
 
-    ``short`` is a shorter unique name, from which the name of its folder is made; '' to use
+    ``short`` is a shorter unique name, from which the folder of the unit is named; '' to use
     ``name``.
     """
 
@@ -95,12 +95,12 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Judged:
-    """The decision about one unit, and the sentences of its line."""
+    """The decision about one unit, and the texts that are printed about the unit."""
 
     outcome: Outcome
     decision: Decision
-    word: str
-    sentences: Sequence[str]
+    word: str  # first word of the printed line: the decision, or the level of the verdict
+    sentences: Sequence[str]  # reasons of the decision
     check: UnitCheck | None = None  # None without results
     note: str = ''  # text if the unit repeats an earlier unit, else ''
 
@@ -130,7 +130,8 @@ class Judge:
     plan : Plan or None
         The test plan; None if there is none.
     decides : bool
-        Whether the word of a unit is its decision; otherwise it is the level of its verdict.
+        Whether the line of a unit begins with the decision about the unit; if False, the line
+        begins with the level of its verdict.
     """
 
     def __init__(self, args: argparse.Namespace, plan: Plan | None, decides: bool) -> None:
@@ -159,44 +160,45 @@ class Judge:
     def _note(self, name: str, results: Results) -> str:
         """Return a text if an earlier unit has the same samples or serial number, else ''.
 
-        Equal coefficients show that the samples are the same.
+        The samples are the same if their number and all coefficients are equal.
         """
         values = [c.value for axis in results.axes.values() for c in axis.fit.noise.values()]
         samples = (results.samples, *values) if any(values) else None
-        for key, what in ((samples, 'the samples'), (results.identity.hardware_id, 'the serial')):
+        for key, shared in ((samples, 'the samples'), (results.identity.hardware_id, 'the serial')):
             if key and self._known.setdefault(key, name) != name:
-                return f'duplicate: it has {what} of {self._known[key]};'
+                return f'duplicate: it has {shared} of {self._known[key]};'
         return ''
 
 
 def run_batch(jobs: Sequence[ReadJob], args: argparse.Namespace) -> int:
-    """Analyze each recording, write its files, print one line for each, and write a summary.
+    """Analyze each recording, write its files, and print one line for each recording.
 
-    Returns the worst exit code of the recordings.
+    Also writes a summary of all recordings, if the command line states a folder. Returns the worst
+    exit code of the recordings.
     """
     console, codes, units = Console.of(args), [], []
     judge = Judge(args, None, decides=False)
-    found: list[Finding] = []
+    findings: list[Finding] = []
     _make_output(args)
     for outcome in _outcomes([BatchItem(n, [job]) for n, job in zip(names_of(jobs), jobs)], args):
-        units.append(one := judge.judged(outcome))
+        units.append(judged := judge.judged(outcome))
         code = outcome.code
         if outcome.results is not None:
             code = exit_code_of(outcome.results, args.fail_on)
-            found += outcome.results.findings
+            findings += outcome.results.findings
         codes.append(Decision(code))
         if console.json:
             console.line(_batch_document(outcome, args.units))
         elif not (console.quiet and args.output):
-            _print_unit(one, args)
-    for elsewhere in [f for f in found if f.id == 'sensor_elsewhere'][:1]:
+            _print_unit(judged, args)
+    for elsewhere in [f for f in findings if f.id == 'sensor_elsewhere'][:1]:
         console.say(finding_line(elsewhere))
     _write_summary(units, codes, args, '')
     return int(worst(codes))
 
 
 def unread_units(folder: str) -> list[Outcome]:
-    """Return the units that could not be read when the summary of an archive was written.
+    """Return the units that could not be read when the summary in a folder was written.
 
     The list is empty if the folder has no summary.
     """
@@ -208,7 +210,9 @@ def unread_units(folder: str) -> list[Outcome]:
     return [
         Outcome(
             BatchItem(row['unit'], [ReadJob(row['unit'], hardware_id=row.get('serial') or '')]),
-            error=one_line(f'{row["unit"]}: not read for this archive: {row.get("reason")}'),
+            error=one_line(
+                f'{row["unit"]}: not read when this folder was written: {row.get("reason")}'
+            ),
         )
         for row in rows
         if row.get('unit') and row.get('exit_code') in UNREAD
@@ -229,21 +233,21 @@ def run_check(
     args : Namespace
         Arguments of the command line.
     unread : sequence of Outcome
-        Units whose recordings could not be read when an archive was written.
+        Units whose recordings could not be read when the checked folder of results was written.
 
     Raises
     ------
     AllanError
         When the only unit cannot be read.
     """
-    console, done = Console.of(args), []
+    console, judged_units = Console.of(args), []
     plan = load_plan(args.plan) if args.plan else None
     judge = Judge(args, plan, decides=True)
     unchecked: dict[str, None] = {}
     number = len(units) + len(unread)
     _make_output(args)
     for outcome in chain(_outcomes(units, args), unread):
-        done.append(one := judge.judged(outcome))
+        judged_units.append(one := judge.judged(outcome))
         unchecked |= dict.fromkeys(one.check.unchecked if one.check else ())
         if console.json:
             console.line(_check_document(one))
@@ -253,47 +257,54 @@ def run_check(
             _print_unit(one, args)
             for sentence in one.sentences if console.verbose else ():
                 print(f'  {sentence}')
-    code = worst([one.decision for one in done])
-    names: dict[str, list[str]] = {}
-    for one in done:
-        names.setdefault(one.word, []).append(Path(one.name).name)
+    code = worst([one.decision for one in judged_units])
+    names_by_word: dict[str, list[str]] = {}
+    for one in judged_units:
+        names_by_word.setdefault(one.word, []).append(Path(one.name).name)
     if number > 1 and console.json:
-        totals = {word: len(named) for word, named in names.items()}
+        totals = {word: len(named) for word, named in names_by_word.items()}
         console.line({'units': number, 'totals': totals, 'exit_code': int(code)})
     elif not console.json and not console.quiet:
         if number > 1:
-            texts = [_total(*each) for each in sorted(names.items(), key=lambda e: -len(e[1]))]
+            texts = [
+                _total(*each) for each in sorted(names_by_word.items(), key=lambda e: -len(e[1]))
+            ]
             print(f'{number} units: {", ".join(texts)}')
         if unchecked:
             print(unchecked_text([*unchecked]))
-    _write_summary(done, [one.decision for one in done], args, plan.name if plan else '')
+    _write_summary(
+        judged_units, [one.decision for one in judged_units], args, plan.name if plan else ''
+    )
     return int(code)
 
 
 def _total(word: str, names: Sequence[str]) -> str:
-    """Return the number of units with a verdict, and their names unless they are healthy."""
+    """Return a text with the number of the units that have a verdict, and the names of the units.
+
+    ``word`` is the word for the verdict. Names of healthy units are omitted.
+    """
     if word == DECISION_WORDS[Decision.WITHIN]:
         return f'{len(names)} {word}'
     more = f' and {len(names) - MOST_NAMED} more' if len(names) > MOST_NAMED else ''
     return one_line(f'{len(names)} {word} ({", ".join(names[:MOST_NAMED])}{more})')
 
 
-def _print_unit(one: Judged, args: argparse.Namespace) -> None:
+def _print_unit(unit: Judged, args: argparse.Namespace) -> None:
     """Print name, serial number, reasons and N of a unit as one line."""
-    text = one.reason
-    if one.outcome.results is not None:
-        serial = f', serial {one.serial}' if one.serial else ''
-        numbers = ', '.join(_noise_texts(one.outcome.results, args.units))
-        text = f'{one.name}{serial}: {text.rstrip(".")}; {numbers}'.rstrip('; ')
-    line = one_line(f'{one.word}: {text}')
+    text = unit.reason
+    if unit.outcome.results is not None:
+        serial = f', serial {unit.serial}' if unit.serial else ''
+        numbers = ', '.join(_noise_texts(unit.outcome.results, args.units))
+        text = f'{unit.name}{serial}: {text.rstrip(".")}; {numbers}'.rstrip('; ')
+    line = one_line(f'{unit.word}: {text}')
     color = next(
-        (LEVEL_COLORS[k] for k, w in VERDICT_WORDS.items() if w.lower() == one.word), '1;31'
+        (LEVEL_COLORS[k] for k, w in VERDICT_WORDS.items() if w.lower() == unit.word), '1;31'
     )
-    print(painted(line, one.word, color, colored(sys.stdout)), flush=True)
+    print(painted(line, unit.word, color, colored(sys.stdout)), flush=True)
 
 
 def _noise_texts(results: Results, units: str) -> Iterator[str]:
-    """Yield a text with N of the axes for each sensor."""
+    """Yield a text with N of each axis, for each sensor."""
     for sensor in SENSORS:
         unit = shown_unit(sensor, 'N', units)
         noise = [a.fit.noise for axis, a in results.axes.items() if sensor_of(axis) == sensor]
@@ -302,7 +313,7 @@ def _noise_texts(results: Results, units: str) -> Iterator[str]:
 
 
 def _make_output(args: argparse.Namespace) -> None:
-    """Create the folder for the files, if the command line states one."""
+    """Create the folder for the files, if the command line states a folder."""
     if args.output:
         from ..view.result_files import made_folder
 
@@ -322,12 +333,12 @@ def _write_summary(
     for one, code in zip(units, codes):
         results = one.outcome.results
         report = f'{one.outcome.unit.folder}/{REPORT}' if results else ''
-        name, known = one_line(one.name), (one.check, report, int(code))
-        rows.append(UnitRow(name, one.serial, one.word, one.reason, results, *known))
+        name, details = one_line(one.name), (one.check, report, int(code))
+        rows.append(UnitRow(name, one.serial, one.word, one.reason, results, *details))
     folder = Path(args.output)
     write_atomic(folder / SUMMARY, summary_csv(rows, args.units))
     write_atomic(folder / INDEX, index_html(rows, plan))
-    Console.of(args).say(f'written to {args.output}: one folder each, {SUMMARY}, {INDEX}')
+    Console.of(args).say(f'written to {args.output}: one folder for each unit, {SUMMARY}, {INDEX}')
 
 
 def _check_document(one: Judged) -> dict[str, Any]:
@@ -375,14 +386,14 @@ def _check_document(one: Judged) -> dict[str, Any]:
 
 def _limit_document(check: Check, limits: Limits) -> dict[str, Any]:
     """Return a quantity, its limits and its verdict as a JSON object, in the unit of the plan."""
-    known = check.measured.times(1.0 / limits.scale)
+    measured = check.measured.times(1.0 / limits.scale)
     lower, upper = (
         None if end is None else end / limits.scale for end in (limits.lower, limits.upper)
     )
     return {
         'axis': check.axis,
         'quantity': check.quantity,
-        **known.document(),
+        **measured.document(),
         'lower': lower,
         'upper': upper,
         'unit': limits.unit,
@@ -394,13 +405,13 @@ def _limit_document(check: Check, limits: Limits) -> dict[str, Any]:
 def fails(results: Results, severity: str | None) -> bool:
     """Return whether ``--fail-on`` applies to the results.
 
-    It applies to a finding of at least this severity, and to a level 'failed'. ``severity`` is None
-    without this option.
+    The option applies if a finding has at least the severity ``severity``, or if the level of the
+    results is 'failed'. ``severity`` is None if the option is not given.
     """
     if severity is None:
         return False
-    enough = SEVERITIES[: SEVERITIES.index(severity) + 1]
-    return results.level == 'failed' or any(f.severity in enough for f in results.findings)
+    severities = SEVERITIES[: SEVERITIES.index(severity) + 1]
+    return results.level == 'failed' or any(f.severity in severities for f in results.findings)
 
 
 def exit_code_of(results: Results, fail_on: str | None) -> int:
@@ -410,8 +421,8 @@ def exit_code_of(results: Results, fail_on: str | None) -> int:
     """
     if fails(results, fail_on):
         return EXIT_FAILED
-    known = (c for axis in results.axes.values() for c in axis.fit.noise.values())
-    return 0 if any(c.value is not None for c in known) else EXIT_ERROR
+    coefficients = (c for axis in results.axes.values() for c in axis.fit.noise.values())
+    return 0 if any(c.value is not None for c in coefficients) else EXIT_ERROR
 
 
 def _outcomes(units: Sequence[BatchItem], args: argparse.Namespace) -> Iterator[Outcome]:
@@ -420,8 +431,10 @@ def _outcomes(units: Sequence[BatchItem], args: argparse.Namespace) -> Iterator[
     The units are analyzed in this process, in several processes, or on a cluster.
     """
     if getattr(args, 'scheduler', None):
-        read = on_cluster([unit.jobs[0] for unit in units], args.scheduler, Console.of(args))
-        for unit, recorded in zip(units, read):
+        recorded_units = on_cluster(
+            [unit.jobs[0] for unit in units], args.scheduler, Console.of(args)
+        )
+        for unit, recorded in zip(units, recorded_units):
             yield outcome_of(unit, args, recorded)
         return
     if min(args.jobs, len(units)) == 1:
@@ -439,7 +452,7 @@ def outcome_of(
     args: argparse.Namespace,
     recorded: RecordingSums | Finding | Exception | None = None,
 ) -> Outcome:
-    """Read and fit one unit, write its files if a folder is given, and return results or error.
+    """Read and fit one unit, write its files if a folder is given, and return the outcome.
 
     Parameters
     ----------
@@ -509,8 +522,8 @@ def fit_and_write(
         When there are too few data, or a file cannot be written.
     """
     settings = settings_of(ResultSettings, args)
-    at_rest = load(settings.noise) if settings.noise else None
-    results = analyze_recorded(recorded, settings.method, at_rest)
+    rest_results = load(settings.noise) if settings.noise else None
+    results = analyze_recorded(recorded, settings.method, rest_results)
     results = compared(results, settings.sensor, settings.baseline, settings.margin)
     if not folder:
         return results, []
@@ -530,26 +543,26 @@ def fit_and_write(
 
 def split_by_topic(jobs: Sequence[ReadJob]) -> list[ReadJob]:
     """Replace each job for a bag without a selected topic by one job for each Imu topic."""
-    separate = []
+    separate_jobs = []
     for job in jobs:
-        chosen = job.reading.topic or job.reading.accel_topic
-        topics = [] if chosen else topics_of(job.path)
-        each = [replace(job, reading=replace(job.reading, topic=topic)) for topic in topics]
-        separate += each if len(each) > 1 else [job]
-    return separate
+        chosen_topic = job.reading.topic or job.reading.accel_topic
+        topics = [] if chosen_topic else topics_of(job.path)
+        topic_jobs = [replace(job, reading=replace(job.reading, topic=topic)) for topic in topics]
+        separate_jobs += topic_jobs if len(topic_jobs) > 1 else [job]
+    return separate_jobs
 
 
 def names_of(jobs: Sequence[ReadJob]) -> list[str]:
-    """Return a unique name for each job: the file name, with topic or number if needed."""
+    """Return a unique name for each job: the file name, with its topic or a number if needed."""
     names: list[str] = []
     for job in jobs:
         path_repeats = sum(other.path == job.path for other in jobs) > 1
         name = Path(job.path).name + (f' {job.reading.topic}' if path_repeats else '')
-        taken, number, one = {folder_name(other) for other in names}, 1, name
-        while folder_name(one) in taken:
+        used_folders, number, unique_name = {folder_name(other) for other in names}, 1, name
+        while folder_name(unique_name) in used_folders:
             number += 1
-            one = f'{name} {number}'
-        names.append(one)
+            unique_name = f'{name} {number}'
+        names.append(unique_name)
     return names
 
 
@@ -579,8 +592,8 @@ def on_cluster(
 ) -> Iterator[RecordingSums | Finding | Exception]:
     """Run ``work`` for each job on a Dask cluster, and yield its result or its error.
 
-    The workers need this package, and the recordings at the same paths. If a worker crashes,
-    another worker repeats its jobs. A job fails if it crashes several workers
+    The workers need this package, and the recordings at the same paths. If a worker crashes, other
+    workers repeat the jobs of that worker. A job fails if it crashes several workers
     (``distributed.scheduler.allowed-failures``).
 
     Parameters
@@ -597,8 +610,8 @@ def on_cluster(
     Yields
     ------
     RecordingSums, Finding or Exception
-        The Allan sums of a job in the order of the jobs; a finding if the job crashed its workers;
-        or the exception that ``work`` raised.
+        For each job, in the order of the jobs: its Allan sums, a finding if the job crashed its
+        workers, or the exception that ``work`` raised.
 
     Raises
     ------
@@ -616,7 +629,7 @@ def on_cluster(
         client = Client(address, timeout=CONNECT_S)
     except (OSError, ValueError, ImportError) as error:
         raise AllanError(
-            f'no Dask scheduler answers at {address}: check the address and that it runs'
+            f'no Dask scheduler answers at {address}: check the address and the scheduler'
         ) from error
     with client, console.progress(f'{len(jobs)} on {address}', None) as progress:
         try:

@@ -1,11 +1,11 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""List significant differences between recordings, or from a datasheet.
+"""List significant differences between recordings, or between recordings and datasheets.
 
-An input is a results.json, a sums.json, the folder of an analysis, a recording, the truth file of
-a simulation, or sensor:NAME for a datasheet. Recordings are compared with the truth or else with
-the first one, and with each datasheet. --method applies to recordings and sums; a results.json is
-not fitted again.
+An input is a results.json, a sums.json, the folder of an analysis, a recording, the truth file of a
+simulation, or sensor:NAME for a datasheet. Each recording is compared with each datasheet, and with
+the truth or, without a truth file, with the first recording. --method applies to recordings and
+Allan sums; a results.json is not fitted again.
 
   allan compare monday tuesday
   allan compare results sensor:adis16475-3 --fail-on-difference
@@ -34,7 +34,9 @@ SENSOR_PREFIX = 'sensor:'
 
 EXIT_DIFFERENT = 3
 
-EXITS = {EXIT_DIFFERENT: 'with --fail-on-difference: a significant difference, or a limit exceeded'}
+EXITS = {
+    EXIT_DIFFERENT: 'with --fail-on-difference: a significant difference, or an exceeded limit'
+}
 
 
 def run(args: argparse.Namespace) -> int:
@@ -43,7 +45,9 @@ def run(args: argparse.Namespace) -> int:
     if args.common:
         return _common(args, console)
     if args.topic or args.accel_topic:
-        raise AllanError('--topic and --accel-topic need --common: analyze one topic, then compare')
+        raise AllanError(
+            '--topic and --accel-topic need --common: analyze each topic, then compare the results'
+        )
     sheets = [text for text in args.inputs if text.startswith(SENSOR_PREFIX)]
     comparison = api.compare(
         *(text for text in args.inputs if text not in sheets),
@@ -59,7 +63,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _show(console: Console, text: str, document: Mapping[str, Any]) -> None:
-    """Print the document with --json, else the text."""
+    """Print the document if --json is given, else the text."""
     if console.json:
         console.document(document)
     else:
@@ -87,7 +91,7 @@ def _common(args: argparse.Namespace, console: Console) -> int:
 
 
 def inflate(args: argparse.Namespace) -> int:
-    """Print by which factor running motors increase the noise; return the exit code."""
+    """Print the factor by which running motors increase the noise; return the exit code."""
     console = Console.of(args)
     inflation = api.inflate(args.rest, args.running, horizon=args.horizon, observer=console)
     _show(console, '\n'.join(inflation_lines(inflation, width())), inflation_document(inflation))
@@ -95,11 +99,12 @@ def inflate(args: argparse.Namespace) -> int:
 
 
 INFLATE_TEXT = """
-Measure what running motors add to the noise of a robot at rest.
+Measure how much running motors increase the noise of a robot at rest.
 
-REST is the robot at rest with its motors off, RUNNING the robot at rest with its motors on, each as
-a results.json, the folder of an analysis, or a recording. The output is N and K for a filter, their
-increase as a factor, the ratio of the Allan deviations, and the option for `allan export`.
+REST is the robot at rest with its motors off, and RUNNING is the robot at rest with its motors on.
+Each is a results.json, the folder of an analysis, or a recording. The output contains N and K for a
+state estimator with motors off and on, their ratio, the ratio of the Allan deviations, and the
+option for `allan export`.
 
   allan inflate rest/results.json motors_on/results.json
   allan inflate rest_bag motors_on_bag --json > inflation.json
@@ -111,18 +116,19 @@ COMPARE_OPTIONS = (
     ),
     Option(
         ('--within',),
-        'also test whether the coefficients are the same up to this, such as 5%%',
+        'also test whether the coefficients are the same up to this percentage, such as 5%%',
         'PERCENT',
         parse=percent,
     ),
     Option(
         ('--common',),
-        'separate the noise that IMUs on one body have in common (vibration) from the noise of '
-        'each; the inputs are recordings made at the same time, or a bag with several Imu topics',
+        'separate the noise that IMUs on one body have in common (vibration) from the own noise of '
+        'each IMU; the inputs are recordings made at the same time, or a bag with several Imu '
+        'topics',
     ),
     Option(
         ('--topic',),
-        'with --common: Imu topic, if a bag has several (default: all of them are IMUs)',
+        'with --common: Imu topic, if a bag has several (default: each topic is one IMU)',
         'TOPIC',
         default='',
     ),
@@ -135,7 +141,7 @@ COMPARE_OPTIONS = (
     Option(
         ('--fail-on-difference',),
         f'exit with {EXIT_DIFFERENT} if a difference is significant, or a limit of a datasheet is '
-        'exceeded; with --within, if N is not shown to be the same, or another term differs',
+        'exceeded; with --within: if N is not shown to be the same, or if another term differs',
     ),
 )
 
@@ -144,7 +150,7 @@ INFLATE_OPTIONS = (
     Option(('running',), 'the robot at rest, motors on', 'RUNNING'),
     Option(
         ('--horizon',),
-        'longest time that the filter integrates without correction',
+        'longest time for which the state estimator integrates the IMU without a correction',
         'SECONDS',
         parse=seconds,
         default=30.0,

@@ -78,7 +78,8 @@ def _bar(total: int | None) -> Any:
 
 
 NARROWEST = 40
-"""Smallest width in columns to which text is wrapped. A narrower terminal wraps the text again."""
+"""Smallest width in columns to which text is wrapped. A terminal that is narrower wraps the lines
+again."""
 
 SEVERITY_COLORS = {'info': '36', 'warning': '33', 'error': '31'}
 """Severity of a finding -> ANSI color (ECMA-48): cyan, yellow, red."""
@@ -139,7 +140,8 @@ class Console:
 def width() -> int:
     """Return the width of the output in columns, at least `NARROWEST`.
 
-    It is ``COLUMNS``, else the width of the terminal, else `UNLIMITED`.
+    The width is ``COLUMNS`` if this variable is set, else the width of the terminal. Without a
+    terminal, the width is `UNLIMITED`.
     """
     return max(shutil.get_terminal_size((UNLIMITED, 24)).columns, NARROWEST)
 
@@ -173,22 +175,22 @@ def painted(line: str, word: str, color: str, colors: bool) -> str:
 
 
 def wrapped(text: str, columns: int, indent: str = '') -> list[str]:
-    """Return a text as lines of less than ``columns`` characters.
+    """Return a text as lines of fewer than ``columns`` characters.
 
-    All lines but the first begin with ``indent``. The lines have up to `NARROWEST` - 1 characters
-    if ``columns`` is smaller.
+    All lines but the first begin with ``indent``. If ``columns`` is less than `NARROWEST`, the
+    lines have up to `NARROWEST` - 1 characters.
     """
     room = max(columns, NARROWEST) - 1
     return textwrap.wrap(text, room, subsequent_indent=indent, break_on_hyphens=False)
 
 
 def fault_text(error: Exception) -> str:
-    """Return a text about an unexpected error and its location, for a bug report."""
-    ours = Path(__file__).parents[1]
+    """Return a text about an unexpected error and where it occurred, for a bug report."""
+    package = Path(__file__).parents[1]
     frames = traceback.extract_tb(error.__traceback__)
-    inner = [frame for frame in frames if ours in Path(frame.filename).parents]
-    where = [f'{Path(f.filename).relative_to(ours)}:{f.lineno}' for f in inner[-2:]]
+    own_frames = [frame for frame in frames if package in Path(frame.filename).parents]
+    locations = [f'{Path(f.filename).relative_to(package)}:{f.lineno}' for f in own_frames[-2:]]
     return (
         f'internal error of allan_ros {__version__}: {type(error).__name__}: {error} '
-        f'at {" > ".join(where)}; please report this line and the command'
+        f'at {" > ".join(locations)}; please report this line and the command'
     )

@@ -1,9 +1,10 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Write the measured noise to a file for a filter or simulator.
+"""Write the measured noise to a file for a state estimator or simulator.
 
 The input is a results.json of `allan analyze`, its folder, or a datasheet (--sensor). Without -o
-the file goes to the standard output. Warnings about its numbers are in its header and on stderr.
+the file goes to the standard output. Warnings about the exported numbers are in the header of the
+file and on stderr.
 
   allan export --list
   allan export results --to openvins -o kalibr_imu_chain.yaml
@@ -34,7 +35,7 @@ from .options import Command, Option, Settings, settings_of
 
 
 def run(args: argparse.Namespace) -> int:
-    """Write or print a file for a filter, or list the targets."""
+    """Write or print a file for a state estimator or simulator, or list the export targets."""
     console = Console.of(args)
     if args.list and console.json:
         console.document({'targets': {name: target.title for name, target in TARGETS.items()}})
@@ -65,24 +66,24 @@ def run(args: argparse.Namespace) -> int:
     if args.against:
         drifts = against(results, target_of(args.to), read_text(args.against, MAX_BYTES), options)
         if console.json:
-            compared = [{**drift._asdict(), 'ratio': drift.ratio} for drift in drifts]
-            console.document({'target': args.to, 'against': args.against, 'drift': compared})
+            drift_documents = [{**drift._asdict(), 'ratio': drift.ratio} for drift in drifts]
+            console.document({'target': args.to, 'against': args.against, 'drift': drift_documents})
         else:
             print('\n'.join([*map(str, drifts), *verdicts(drifts)]))
         return 0
-    made = make_export(results, args.to, options, finding_line)
+    exported = make_export(results, args.to, options, finding_line)
     path = Path(args.output) if args.output else None
     if path is not None:
         path = path / target.file_name if path.is_dir() else path
-        write_atomic(path, made.text)
+        write_atomic(path, exported.text)
     if console.json:
-        findings = [finding_document(finding) for finding in made.findings]
-        to = {'path': str(path)} if path else {'text': made.text}
-        console.document({'target': args.to, **to, 'findings': findings})
+        findings = [finding_document(finding) for finding in exported.findings]
+        destination = {'path': str(path)} if path else {'text': exported.text}
+        console.document({'target': args.to, **destination, 'findings': findings})
     elif path is None:
-        sys.stdout.write(made.text)
-    said = results.findings if args.sensor else ()
-    for finding in (*said, *made.findings):
+        sys.stdout.write(exported.text)
+    input_findings = results.findings if args.sensor else ()
+    for finding in (*input_findings, *exported.findings):
         console.say(finding_line(finding))
     return 0
 
@@ -98,11 +99,11 @@ SEEN = {
 """`Source.seen` -> text before the name of the document in which the figures were read."""
 
 HEADERS = ('name', 'gyro N deg/sqrt(h)', 'gyro B deg/h', 'accel N ug/sqrt(Hz)', 'accel B ug')
-"""Column headers of the list of datasheets: the name, then sensor, term and unit of each limit."""
+"""Column headers of the list of datasheets: 'name', then sensor, term and unit of each limit."""
 
 
 def sensors(args: argparse.Namespace) -> int:
-    """Print one datasheet, a list of datasheets, a test plan, or an entry for a datasheet file."""
+    """Print a datasheet, the list of datasheets, a test plan, or an entry for a datasheet file."""
     console = Console.of(args)
     if source := vars(args)['from']:
         from ..results.documents import load
@@ -132,7 +133,7 @@ def sensors(args: argparse.Namespace) -> int:
 
 
 def list_lines(sheets: Mapping[str, Datasheet], columns: int) -> Iterator[str]:
-    """Yield a table of datasheets with the limits of N and B of the worst axis of each sensor.
+    """Yield the lines of a table of datasheets with the largest limits of N and B of each sensor.
 
     ``sheets`` maps names to datasheets. ``columns`` is the width of the text; table columns that
     do not fit are omitted.
@@ -149,16 +150,16 @@ def list_lines(sheets: Mapping[str, Datasheet], columns: int) -> Iterator[str]:
             )
         rows.append(row)
     widths = [max(map(len, column)) + COLUMN_GAP for column in zip(*rows)]
-    shown = sum(sum(widths[: n + 1]) - COLUMN_GAP <= columns for n in range(len(widths)))
+    shown_columns = sum(sum(widths[: n + 1]) - COLUMN_GAP <= columns for n in range(len(widths)))
     for row in rows:
-        yield ''.join(f'{cell:{w}}' for cell, w in zip(row[:shown], widths)).rstrip()
+        yield ''.join(f'{cell:{w}}' for cell, w in zip(row[:shown_columns], widths)).rstrip()
     yield ''
     for name, sheet in sheets.items():
         if sheet.carries:
             yield from wrapped(f'{name} carries {sheet.carries}.', columns)
     yield from wrapped(
-        'Upper limits from the datasheets; "-": not stated. `allan sensors NAME` shows one with '
-        'its conditions and sources.',
+        'Upper limits from the datasheets; "-": not stated. `allan sensors NAME` shows one '
+        'datasheet with its conditions and sources.',
         columns,
     )
 
@@ -182,8 +183,8 @@ def sensor_lines(sheet: Datasheet, columns: int) -> Iterator[str]:
         values = (f'{significant(limit.value * u.factor, LIMIT_DIGITS)} {u.name}' for u in units)
         yield ''
         yield from wrapped(f'{", ".join(axes)} {term}: stated {limit.stated}', columns, '  ')
-        notes = (f'limit {" = ".join(values)}', limit.note, limit.condition)
-        for text in (*filter(None, notes), f'source: {limit.source}'):
+        limit_texts = (f'limit {" = ".join(values)}', limit.note, limit.condition)
+        for text in (*filter(None, limit_texts), f'source: {limit.source}'):
             yield from wrapped(f'  {text}', columns, '    ')
     yield ''
     for key, source in sheet.sources.items():
@@ -192,9 +193,9 @@ def sensor_lines(sheet: Datasheet, columns: int) -> Iterator[str]:
 
 
 SENSORS_TEXT = """
-List the IMU datasheets that are known, or show one of them.
+List the known IMU datasheets, or show one of them.
 
-A name refers to a file of the package or to your own file in ~/.config/allan_ros/sensors; anything
+A name refers to a file of the package or to your own file in ~/.config/allan_ros/sensors. A NAME
 that ends in .yaml is a path.
 
   allan sensors
@@ -208,11 +209,17 @@ EXPORT_OPTIONS = (
     Option(('results',), 'results.json, or its folder', 'RESULTS', nargs='?'),
     Option(
         ('--sensor',),
-        'the noise of this datasheet (allan sensors) instead of results; it is not measured',
+        'export the noise that this datasheet states, instead of measured results; `allan sensors` '
+        'lists the names',
         'NAME',
     ),
-    Option(('--to',), 'filter or simulator that reads the file (--list)', 'TARGET', default=''),
-    Option(('--list',), 'list the targets, one per line'),
+    Option(
+        ('--to',),
+        'state estimator or simulator that reads the file; --list lists them',
+        'TARGET',
+        default='',
+    ),
+    Option(('--list',), 'list the export targets, one per line'),
     Option(
         ('-o', '--output'),
         'file to write (default: standard output)',
@@ -220,8 +227,8 @@ EXPORT_OPTIONS = (
     ),
     Option(
         ('--against',),
-        'your own file for TARGET: print the drift that a filter expects with it after 1, 10 and '
-        '60 s, and the measured drift, and write nothing',
+        'your own file for TARGET: print the drift after 1, 10 and 60 s that a state estimator '
+        'with this file expects, and the measured drift; no file is written',
         'EXISTING',
     ),
 )
@@ -235,7 +242,7 @@ SENSOR_OPTIONS = (
     ),
     Option(
         ('--from',),
-        'results.json or its folder: print an entry "measured" for the file of a sensor',
+        'results.json or its folder: print an entry "measured" for a datasheet file',
         'RESULTS',
     ),
     Option(

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The command `allan`: the parser of all verbs, and exit codes.
+"""The command `allan`: the parser of its verbs (subcommands), and its exit codes.
 
 The module of a verb is imported when the verb is called.
 """
@@ -28,7 +28,7 @@ HELP_COLUMN = 26
 
 
 class Verb(NamedTuple):
-    """The place where the command of a verb is defined, and the help text of the verb."""
+    """The place where the command of a verb is defined, and its line in the list of verbs."""
 
     module: str  # name of the module in this package
     command: str  # name of the `Command` in the module
@@ -39,33 +39,37 @@ VERBS = {
     'analyze': Verb(
         'analyze', 'ANALYZE', 'compute coefficients, curves, plots and a report from recordings'
     ),
-    'check': Verb('analyze', 'CHECK', 'check IMUs: one line for each, and an exit code'),
+    'check': Verb('analyze', 'CHECK', 'check IMUs: one line for each IMU, and an exit code'),
     'compare': Verb(
         'compare',
         'COMPARE',
-        'list significant differences between recordings, or from a datasheet',
+        'list significant differences between recordings, or between recordings and datasheets',
     ),
     'sensors': Verb(
         'export',
         'SENSORS_COMMAND',
-        'list the known datasheets of IMUs, or show one with its sources',
+        'list the known datasheets of IMUs, or show a datasheet with its sources',
     ),
     'export': Verb(
-        'export', 'EXPORT', 'write the measured noise to a file for a filter or simulator'
+        'export',
+        'EXPORT',
+        'write the measured noise to a file for a state estimator or simulator',
     ),
     'inflate': Verb(
-        'compare', 'INFLATE', 'measure how much running motors raise the noise of a robot at rest'
+        'compare',
+        'INFLATE',
+        'measure how much running motors increase the noise of a robot at rest',
     ),
     'simulate': Verb('simulate', 'SIMULATE', 'write a recording of an IMU with known noise'),
 }
-"""Name of a verb -> its command and help text."""
+"""Name of a verb -> the place of its command, and its line in the list of verbs."""
 
 DESCRIPTION = """
 Measure the noise of an IMU by its Allan variance.
 
   allan analyze my_bag -o results        analyze a recording and write a report
   allan check my_bag --sensor mpu-6050   print one line and set the exit code
-  allan export results --to openvins     write a file for a filter
+  allan export results --to openvins     write a file for a state estimator
   allan simulate my_bag --preset paper   write a simulated recording
 """
 """Text above the list of verbs in the help."""
@@ -75,7 +79,7 @@ EXIT_USAGE, EXIT_INTERRUPTED, EXIT_NO_READER = 2, 130, 141
 
 EXITS = {
     0: 'done',
-    EXIT_ERROR: 'an error you can fix: stderr has one line with the cause and the remedy',
+    EXIT_ERROR: 'an error that you can fix: one line on stderr states the cause and the remedy',
     EXIT_USAGE: 'wrong usage of the command line',
     EXIT_FAULT: 'a bug in allan: please report the line',
     EXIT_INTERRUPTED: 'interrupted: incomplete files are removed',
@@ -105,14 +109,14 @@ class AllanParser(argparse.ArgumentParser):
     def parse_known_args(  # type: ignore[override]
         self, args: Sequence[str] | None = None, namespace: argparse.Namespace | None = None
     ) -> tuple[argparse.Namespace, list[str]]:
-        """Parse the arguments; exit with the usage of this parser if one is unknown.
+        """Parse the arguments; if an argument is unknown, print the usage of this parser and exit.
 
-        argparse itself would show the usage of the main parser instead of the verb.
+        argparse itself would print the usage of the main parser, not the usage of the verb.
         """
-        known, unknown = super().parse_known_args(args, namespace)
-        if unknown:
-            self.error(f'unrecognized arguments: {" ".join(unknown)}')
-        return known or argparse.Namespace(), unknown
+        parsed, unknown_arguments = super().parse_known_args(args, namespace)
+        if unknown_arguments:
+            self.error(f'unrecognized arguments: {" ".join(unknown_arguments)}')
+        return parsed or argparse.Namespace(), unknown_arguments
 
     def error(self, message: str) -> NoReturn:
         """Print the usage and the error, and exit with code 2."""
@@ -158,8 +162,8 @@ def build_parser(verb: str = '') -> AllanParser:
         version=f'allan_ros {__version__}',
         help='show the version and exit',
     )
-    for name, known in VERBS.items():
-        sub = verbs.add_parser(name, help=known.help)
+    for name, entry in VERBS.items():
+        sub = verbs.add_parser(name, help=entry.help)
         if name == verb:
             command = command_of(name)
             sub.description = command.description
@@ -198,8 +202,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         return _print_error(f'{name}: {explained(error)}', EXIT_ERROR)
     except KeyboardInterrupt:
         if argv is None and hasattr(signal, 'pthread_sigmask'):  # not on Windows
-            # After an interrupt within an import, Python sends itself the signal at exit. It ends
-            # with the exit code only if the signal is blocked.
+            # After an interrupt within an import, Python sends itself the signal at exit. Python
+            # returns the exit code only if this signal is blocked.
             signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         return _print_error(f'\n{name}: interrupted, nothing more is written', EXIT_INTERRUPTED)
     except BrokenPipeError:
@@ -230,7 +234,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _run(words: Sequence[str]) -> int:
-    """Parse the words and run the verb."""
+    """Parse the arguments and run the verb; return the exit code."""
     keep_to_one_thread()
     if not words:
         build_parser().print_help(sys.stderr)

@@ -23,7 +23,7 @@ class Settings(NamedTuple):
 
 
 class Option(NamedTuple):
-    """One option, or an argument if its name does not begin with a dash."""
+    """One option, or a positional argument if the name does not begin with a dash."""
 
     names: tuple[str, ...]
     help: str
@@ -49,7 +49,7 @@ Declared = Sequence[Option | OptionGroup | Settings]
 class Command:
     """One verb of the command line."""
 
-    description: str  # the first part of its help text, with examples
+    description: str  # the first part of the help text of the verb, with examples
     options: Declared
     run: Callable[[argparse.Namespace], int]  # runs the verb and returns the exit code
     # further exit codes -> meaning, in addition to the exit codes of all verbs
@@ -74,24 +74,24 @@ def _add(parser: argparse._ActionsContainer, option: Option) -> None:
     if not option.value:
         parser.add_argument(*option.names, action='store_true', help=option.help)
         return
-    given: dict[str, Any] = {} if option.nargs is None else {'nargs': option.nargs}
-    shown = ''
+    keywords: dict[str, Any] = {} if option.nargs is None else {'nargs': option.nargs}
+    default_text = ''
     if option.default:
         is_number = isinstance(option.default, (int, float))
-        shown = f' (default {f"{option.default:.12g}" if is_number else option.default})'
+        default_text = f' (default {f"{option.default:.12g}" if is_number else option.default})'
     parser.add_argument(
         *option.names,
         metavar=option.value,
         type=option.parse,
         default=option.default,
         choices=option.choices,
-        help=option.help + shown,
-        **given,
+        help=option.help + default_text,
+        **keywords,
     )
 
 
 def terms(text: str) -> dict[str, float]:
-    """Parse ``N=0.3,B=7`` to term -> number; raise ArgumentTypeError for other texts."""
+    """Parse ``N=0.3,B=7`` to a dict of term -> number; raise ArgumentTypeError for other texts."""
     try:
         pairs = [part.split('=') for part in text.split(',')]
         return {term.strip(): float(value) for term, value in pairs}
@@ -141,7 +141,7 @@ def add_settings(
     """Add a group with an option for every field of a settings class.
 
     A field ``max_bridge`` becomes the option ``--max-bridge``. A field that is True by default
-    becomes a switch ``--no-...``. A tuple is given as words separated by commas.
+    becomes a switch ``--no-...``. The value for a tuple is a list of words separated by commas.
 
     Parameters
     ----------
@@ -161,27 +161,28 @@ def add_settings(
             continue
         info, default = infos[setting.name], setting.default
         name = setting.name.replace('_', '-')
-        words = info.doc.rstrip('.').replace('%', '%%')
-        # the first word is a common word, not a term such as 'N' or a name such as 'Imu'
-        if words[1].islower() and not words.startswith('Imu'):
-            words = words[0].lower() + words[1:]
+        help_text = info.doc.rstrip('.').replace('%', '%%')
+        # a first word that is a common word begins with a small letter, unlike a term such as 'N'
+        # or a name such as 'Imu'
+        if help_text[1].islower() and not help_text.startswith('Imu'):
+            help_text = help_text[0].lower() + help_text[1:]
         if isinstance(default, bool):
             group.add_argument(
                 f'--no-{name}' if default else f'--{name}',
                 dest=setting.name,
                 action='store_false' if default else 'store_true',
-                help=info.off or words if default else words,
+                help=info.off or help_text if default else help_text,
             )
             continue
         unit = f' [{info.unit}]' if info.unit else ''
-        listed = ','.join(map(str, default)) if isinstance(default, tuple) else default
-        shown = f'{listed:g}' if isinstance(listed, float) else listed
-        word = 'auto' if info.auto and default == AUTO else shown
+        joined_default = ','.join(map(str, default)) if isinstance(default, tuple) else default
+        shown = f'{joined_default:g}' if isinstance(joined_default, float) else joined_default
+        default_text = 'auto' if info.auto and default == AUTO else shown
         metavar = 'A,B,..' if isinstance(default, tuple) else 'NUMBER'
         if isinstance(default, str):
             metavar = 'TEXT'
         if info.percent and isinstance(default, float):
-            metavar, word = 'PERCENT', f'{100.0 * default:g}%%'
+            metavar, default_text = 'PERCENT', f'{100.0 * default:g}%%'
         if info.choices:
             metavar = f'{{{",".join(filter(None, info.choices))}}}'
         group.add_argument(
@@ -191,7 +192,8 @@ def add_settings(
             choices=info.choices or None,
             default=default,
             metavar=metavar,
-            help=f'{words}{unit}' + (f' (default {word})' if default not in ('', ()) else ''),
+            help=f'{help_text}{unit}'
+            + (f' (default {default_text})' if default not in ('', ()) else ''),
         )
 
 

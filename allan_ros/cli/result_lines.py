@@ -62,8 +62,8 @@ def datasheet_lines(results: Results, units: str, columns: int) -> Iterator[str]
     sheet, checks = results.datasheet, results.datasheet_checks
     if sheet is None:
         return
-    found = 'not judged' if results.is_too_short else HEADLINES[worst_verdict(checks)]
-    headline = f'compared with the datasheet of {sheet.name}: {found}'
+    summary = 'not judged' if results.is_too_short else HEADLINES[worst_verdict(checks)]
+    headline = f'compared with the datasheet of {sheet.name}: {summary}'
     yield from wrapped(headline, columns, '  ')
     groups: dict[tuple[str, str, float], list[Check]] = {}
     for c in checks:  # one group for the axes of a sensor with equal limits of a term
@@ -89,7 +89,7 @@ DEVIATION = 'deviation'
 """Label of the last row of a table of coefficients."""
 
 MOST_FINDINGS, MOST_NEXT_STEPS = 5, 4
-"""Largest number of findings that are printed without ``--verbose``, and of next steps."""
+"""Largest number of findings that are printed without ``--verbose``, and of printed next steps."""
 
 
 def results_lines(
@@ -124,16 +124,16 @@ def results_lines(
     yield from verdict_lines(verdict, columns, colors)
     for sensor, where in SENSORS.items():
         axes = [axis for axis in AXES[where] if axis in results.axes]
-        known = [axis for axis in axes if _has_numbers(results, axis)]
-        if known:
-            fitted = {axis: results.axes[axis].fit.noise for axis in known}
-            table = coefficient_table(fitted, units, prefixes=True)
-            deviations = [Cell(_deviation(results, axis)) for axis in known]
+        fitted_axes = [axis for axis in axes if _has_numbers(results, axis)]
+        if fitted_axes:
+            noise_of_axes = {axis: results.axes[axis].fit.noise for axis in fitted_axes}
+            table = coefficient_table(noise_of_axes, units, prefixes=True)
+            deviations = [Cell(_deviation(results, axis)) for axis in fitted_axes]
             table = table.with_rows((Heading(DEVIATION), deviations))
             yield from ('', *terminal_lines(_known_rows(table), columns))
-        if len(known) < len(axes):
-            absent = ', '.join(axis[-1] for axis in axes if axis not in known)
-            yield from ('' * (not known), f'{sensor} {absent}: no coefficients')
+        if len(fitted_axes) < len(axes):
+            names_without_fit = ', '.join(axis[-1] for axis in axes if axis not in fitted_axes)
+            yield from ('' * (not fitted_axes), f'{sensor} {names_without_fit}: no coefficients')
     yield from _temperature_lines(results, units, columns)
     yield from _filter_lines(results, columns)
     yield ''
@@ -181,19 +181,19 @@ def findings_lines(
     complete : bool
         Whether all findings are included, not only the `MOST_FINDINGS` most important ones.
     """
-    shown, notes = findings_and_notes(results)
-    first = [*shown, *notes][: None if complete else MOST_FINDINGS]
-    if first:
+    main_findings, notes = findings_and_notes(results)
+    printed_findings = [*main_findings, *notes][: None if complete else MOST_FINDINGS]
+    if printed_findings:
         yield ''
-    for each in first:
+    for each in printed_findings:
         text = (
             f'{each.severity}: {finding_text(each, results, units)} {texts_of(each, units).remedy}'
         )
         lines = wrapped(text, columns, '  ')
         color = SEVERITY_COLORS[each.severity]
         yield from (painted(lines[0], each.severity, color, colors), *lines[1:])
-    if hidden := len(shown) + len(notes) - len(first):
-        yield f'and {hidden} more finding{"s" * (hidden > 1)}: -v shows all'
+    if hidden_count := len(main_findings) + len(notes) - len(printed_findings):
+        yield f'and {hidden_count} more finding{"s" * (hidden_count > 1)}: -v shows all'
 
 
 def _step_lines(results: Results, verdict: Verdict, columns: int) -> Iterator[str]:
@@ -205,7 +205,7 @@ def _step_lines(results: Results, verdict: Verdict, columns: int) -> Iterator[st
 
 
 def _filter_lines(results: Results, columns: int) -> Iterator[str]:
-    """Yield the numbers in the configuration file of Kalibr; nothing if it cannot be made."""
+    """Yield the numbers in the configuration file for Kalibr; no lines if it cannot be made."""
     try:
         table = filter_table(results)
     except AllanError:
@@ -215,8 +215,8 @@ def _filter_lines(results: Results, columns: int) -> Iterator[str]:
 
 
 def _legend(results: Results) -> str:
-    known = [c for axis in results.axes.values() for c in axis.fit.noise.values()]
-    if not any(c.ci95 or c.upper95 for c in known):
+    coefficients = [c for axis in results.axes.values() for c in axis.fit.noise.values()]
+    if not any(c.ci95 or c.upper95 for c in coefficients):
         return f'method {results.method} gives no intervals'
     text = '95 % intervals; "<" is the 95 % upper limit of a term that is not resolved'
     any_deviation = any(_deviation(results, axis) != NOTHING_KNOWN for axis in results.axes)
@@ -224,9 +224,11 @@ def _legend(results: Results) -> str:
 
 
 def _known_rows(table: Table) -> Table:
-    """Return a table without the rows in which nothing is known."""
-    known = (row for row in table.rows if any(cell.text != NOTHING_KNOWN for cell in row[1]))
-    return replace(table, rows=[*known])
+    """Return a table without the rows in which no number is known."""
+    rows_with_numbers = (
+        row for row in table.rows if any(cell.text != NOTHING_KNOWN for cell in row[1])
+    )
+    return replace(table, rows=[*rows_with_numbers])
 
 
 SMALL_DEVIATION = 0.05
@@ -240,7 +242,7 @@ def _deviation(results: Results, axis: str) -> str:
 
 
 def comparison_lines(comparison: RunComparison, units: str, columns: int) -> Iterator[str]:
-    """Yield a comparison as lines of text: sentences, a table for each sensor, and datasheets.
+    """Yield a comparison as lines: sentences, a table for each sensor, and checks of datasheets.
 
     ``units`` is 'deg/h' or 'SI', and ``columns`` is the width of the text.
     """
@@ -259,6 +261,6 @@ def comparison_lines(comparison: RunComparison, units: str, columns: int) -> Ite
         )
     for label, results in comparison.checked:
         yield from ('', label, *datasheet_lines(results, units, columns))
-        if results.datasheet and (known := against_measured(results.datasheet, results)):
+        if results.datasheet and (checks := against_measured(results.datasheet, results)):
             yield f'compared with measured units of {results.datasheet.name}:'
-            yield from (f'         {measured_check_text(one)}' for one in known)
+            yield from (f'         {measured_check_text(check)}' for check in checks)

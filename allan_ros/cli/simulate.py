@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Write a recording of an IMU with known noise, and a file of the true values next to it.
 
-The levels of the five noise terms are exact. Select them by a preset or a datasheet, and change
-single terms by a file or with --gyro, --accel, --gyro-x ..., in datasheet units:
+State the true coefficients of the five noise terms by a preset or a datasheet. Change single terms
+by a file or with --gyro, --accel, --gyro-x ..., in datasheet units:
 
   gyro   Q urad   N deg/sqrt(h)   B deg/h   K deg/h^1.5   R deg/h^2
   accel  Q um/s   N m/s/sqrt(h)   B ug      K ug/sqrt(h)  R ug/h
@@ -15,7 +15,7 @@ single terms by a file or with --gyro, --accel, --gyro-x ..., in datasheet units
 A specification has `noise`, `faults` or both, for example
   faults: {drop: 0.01, motion: [[60, 2.5]], vibration_gyro: 0.001, vibration_frequency: 25}
 
-OUT is an mcap bag (a folder), or a file by its suffix: .mcap, .db3, .csv, .tsv, .npz.
+OUT is an mcap bag (a folder), or a file in the format of its suffix: .mcap, .db3, .csv, .tsv, .npz.
 """
 
 from __future__ import annotations
@@ -46,22 +46,25 @@ SIMULATE_OPTIONS = (
         (
             Option(
                 ('--preset',),
-                'noise of a known IMU; paper: ADIS16475-3',
+                'noise of a known IMU; `paper` is an ADIS16475-3',
                 f'{{{",".join(PRESETS)}}}',
                 choices=tuple(PRESETS),
                 exclusive=True,
             ),
             Option(
                 ('--sensor',),
-                'N and B at the limits of this datasheet; a name of `allan sensors`, or a file',
+                'N and B at the limits of this datasheet: a name from `allan sensors`, or a file',
                 'NAME',
                 exclusive=True,
             ),
             *(
                 Option(
-                    (f'--{name.replace("_", "-")}',), f'noise terms of {what}', 'N=..,B=..', terms
+                    (f'--{name.replace("_", "-")}',),
+                    f'noise terms of {axes_text}',
+                    'N=..,B=..',
+                    terms,
                 )
-                for name, what in NOISES.items()
+                for name, axes_text in NOISES.items()
             ),
             Option(
                 ('--spec',),
@@ -73,20 +76,22 @@ SIMULATE_OPTIONS = (
     OptionGroup(
         'recording',
         (
-            Option(('--hours',), 'length in hours', 'HOURS', parse=float, default=2.0),
+            Option(
+                ('--hours',), 'length of the recording in hours', 'HOURS', parse=float, default=2.0
+            ),
             Option(('--rate',), 'samples per second', 'HZ', parse=float, default=100.0),
             Option(
                 ('--seed',), 'seed of the random numbers (default 0)', 'N', parse=int, default=0
             ),
             Option(
                 ('--start',),
-                'first stamp in Unix time, by default 2020-01-01',
+                'first stamp in Unix time (2020-01-01 by default)',
                 'SECONDS',
                 parse=seconds,
                 default=1577836800.0,
             ),
             Option(('--frame-id',), 'frame_id of the messages', 'TEXT', default='imu_link'),
-            Option(('--topic',), 'topic of a bag', 'TEXT', default='/imu/data'),
+            Option(('--topic',), 'topic of the messages in a bag', 'TEXT', default='/imu/data'),
             Option(('--overwrite',), 'replace an existing recording'),
         ),
     ),
@@ -99,17 +104,17 @@ def run(args: argparse.Namespace) -> int:
     from ..results.simulation import read_specification, stated_noise, write_truth
 
     changes = {name: getattr(args, name) for name in NOISES if getattr(args, name)}
-    stated, faults = read_specification(args.spec) if args.spec else (None, Faults())
-    noise = stated_noise(args.preset or '', args.sensor or '', stated, changes)
+    specified_noise, faults = read_specification(args.spec) if args.spec else (None, Faults())
+    noise = stated_noise(args.preset or '', args.sensor or '', specified_noise, changes)
     samples = samples_in(args.hours * HOUR, args.rate)
     console = Console.of(args)
     seconds = args.hours * HOUR
-    terms = list(noise.values())
+    noise_of_axes = list(noise.values())
     batches = simulate_imu(
         seconds,
         args.rate,
-        terms[:3],
-        terms[3:],
+        noise_of_axes[:3],
+        noise_of_axes[3:],
         seed=args.seed,
         faults=faults,
         start_ns=round(args.start * NANOSECONDS),

@@ -19,8 +19,8 @@ Allan deviations at equal averaging times are compared by the F distribution of 
 variances with their equivalent degrees of freedom (NIST SP 1065 section 5.3.1).
 
 Many comparisons are made at once. Holm's procedure (Scandinavian Journal of Statistics 6, 1979)
-keeps the probability of any false detection below `FAMILY_ERROR`, even if the comparisons are
-dependent.
+keeps the probability of one or more false detections below `FAMILY_ERROR`, even if the comparisons
+are dependent.
 """
 
 from __future__ import annotations
@@ -51,29 +51,33 @@ TAU_RATIO = 4.0
 averaging times are strongly correlated, so further comparisons would add little."""
 
 MIN_EDF = 3.0
-"""Smallest number of equivalent degrees of freedom of a deviation that is compared. With 3 in both
-recordings, only a ratio of deviations above about 10 (one axis) to 17 (six axes) is significant."""
+"""Smallest number of equivalent degrees of freedom of a deviation that is compared. If both
+deviations have 3 degrees of freedom, their ratio is significant only above about 10 when one axis
+is compared, and only above about 17 when six axes are compared."""
 
 EDF_TABLE = np.geomspace(0.5, 1e10, 1000)
 """Degrees of freedom for which the ratio of the upper to the lower chi-squared limit is tabulated,
 (1000,)."""
 
 SMALLEST_SCALE = 1e-12
-"""Smallest standard error of the logarithm of an estimate, which avoids a division by zero."""
+"""Smallest standard error of the logarithm of an estimate that is used. Smaller standard errors are
+set to this value, so that there is no division by zero."""
 
 LARGEST_EXPONENT = 709.0
-"""Largest exponent whose exp is a finite float."""
+"""Largest whole number x for which exp(x) is a finite float64."""
 
 Judgement = Literal['within', 'exceeds', 'higher', 'lower', 'alike', 'undecided']
-"""Verdict of a check: 'within' or 'exceeds' limits; significantly 'higher' or 'lower' than another
-recording, or 'alike'; 'undecided' if the test is impossible or inconclusive."""
+"""Verdict of a check. A number is 'within' limits or 'exceeds' limits. Compared with another
+recording, a number is significantly 'higher' or 'lower', or 'alike' if there is no significant
+difference. The verdict is 'undecided' if the test is impossible or inconclusive."""
 
 Equivalence = Literal['same', 'different', 'undecided']
-"""Whether two numbers are the same up to a stated fraction, differ by more than this fraction, or
-neither is shown."""
+"""Whether the data show that two numbers differ by less than a stated fraction ('same') or by more
+than this fraction ('different'); 'undecided' if the data show neither."""
 
 Z_90 = 1.6449
-"""Normal quantile of a one-sided test at 5 %, half the width of a 90 % interval."""
+"""Normal quantile of 95 %, for a one-sided test at the 5 % level, and for the two ends of a 90 %
+interval."""
 
 Floats = NDArray[np.float64]
 
@@ -93,7 +97,7 @@ class Check:
         A term (Q, N, B, K or R), 'adev' for the Allan deviation at ``tau``, or another quantity
         that a test plan limits.
     reference : str
-        Name of the datasheet, plan or recording.
+        Name of the datasheet, plan or recording that the number is compared with.
     measured : Estimate
         The measured number. It has neither value nor limit if only the ratio is known.
     lower, upper : float or None
@@ -140,7 +144,7 @@ class Check:
     def at_least(self) -> float:
         """Lower end of the 95 % interval of the ratio.
 
-        Without an interval, it is the ratio itself, or 0 if the ratio is unknown.
+        Without an interval, this is the ratio itself, or 0 if the ratio is unknown.
         """
         return (self.ratio.ci95 or (self.ratio.value or 0.0,))[0]
 
@@ -163,15 +167,15 @@ class Check:
 
         The result is 'same' if the 90 % interval of the ratio lies between 1 / (1 + within) and
         1 + within. It is 'different' if the complete 90 % interval lies above or below this range,
-        else 'undecided'. These are two one-sided tests at 5 % (Schuirmann, J. Pharmacokin.
-        Biopharm. 15, 1987): if the true ratio is at an end of the range, the result is 'same' with
-        a probability of at most 5 %.
+        else 'undecided'. The method is two one-sided tests at 5 % (Schuirmann, J.
+        Pharmacokin. Biopharm. 15, 1987): if the true ratio is at an end of the range, the result is
+        'same' with a probability of at most 5 %.
         """
         if self.ratio.value is None or self.ratio.ci95 is None:
             return 'undecided'
         limit, center = math.log1p(within), math.log(self.ratio.value)
-        ends = (math.log(end) if end > 0.0 else -math.inf for end in self.ratio.ci95)
-        low, high = (center + (end - center) * Z_90 / Z_95 for end in ends)
+        log_ends = (math.log(end) if end > 0.0 else -math.inf for end in self.ratio.ci95)
+        low, high = (center + (end - center) * Z_90 / Z_95 for end in log_ends)
         if -limit < low and high < limit:
             return 'same'
         return 'different' if low > limit or high < -limit else 'undecided'
@@ -187,12 +191,12 @@ class Check:
         """
         if self.p is None or self.ratio.ci95 is None or self.upper is None:
             return None
-        found: Judgement = 'undecided'
+        verdict: Judgement = 'undecided'
         if self.verdict == 'higher' and self.beyond(margin):
-            found = 'exceeds'
+            verdict = 'exceeds'
         elif self.ratio.value is not None or self.ratio.ci95[1] <= 1.0 + margin:
-            found = 'within'
-        return replace(self, verdict=found)
+            verdict = 'within'
+        return replace(self, verdict=verdict)
 
     def document(self) -> dict[str, Any]:
         """Return the check as a JSON object."""
@@ -217,8 +221,8 @@ WORST_FIRST: tuple[Judgement, ...] = ('exceeds', 'undecided', 'within')
 
 def worst_verdict(checks: Iterable[Check]) -> Judgement | None:
     """Return the worst verdict of comparisons with limits; None if there is no comparison."""
-    found = {check.verdict for check in checks}
-    return next((verdict for verdict in WORST_FIRST if verdict in found), None)
+    verdicts = {check.verdict for check in checks}
+    return next((verdict for verdict in WORST_FIRST if verdict in verdicts), None)
 
 
 def check_limits(
@@ -234,8 +238,9 @@ def check_limits(
     """Compare a measured number with limits.
 
     The verdict is 'exceeds' if the complete 95 % interval lies above ``upper * (1 + margin)`` or
-    below ``lower``. It is 'within' if the complete interval lies between these two, and 'undecided'
-    otherwise. The interval of a number that is not resolved is from 0 to its upper limit.
+    below ``lower``. It is 'within' if the complete interval lies between these two limits, and
+    'undecided' otherwise. The interval of a number that is not resolved reaches from 0 to its upper
+    limit.
 
     Parameters
     ----------
@@ -251,48 +256,49 @@ def check_limits(
     Examples
     --------
     >>> two = Estimate(2.0, (1.9, 2.1))
-    >>> [check_limits('gyro_x', 'N', 'plan', two, *ends).verdict for ends in ((1.0, 3.0), (2.5,))]
+    >>> limits = (1.0, 3.0), (2.5,)
+    >>> [check_limits('gyro_x', 'N', 'plan', two, *each).verdict for each in limits]
     ['within', 'exceeds']
     """
-    ends = measured.ci95 if measured.resolved else None
+    interval = measured.ci95 if measured.resolved else None
     if measured.status != 'estimated' and measured.upper95 is not None:
-        ends = 0.0, measured.upper95
+        interval = 0.0, measured.upper95
     least = -math.inf if lower is None else lower
     most = math.inf if upper is None else upper * (1.0 + margin)
     verdict: Judgement = 'undecided'
-    if ends is not None and (ends[0] > most or ends[1] < least):
+    if interval is not None and (interval[0] > most or interval[1] < least):
         verdict = 'exceeds'
-    elif ends is not None and least <= ends[0] and ends[1] <= most:
+    elif interval is not None and least <= interval[0] and interval[1] <= most:
         verdict = 'within'
     ratio = measured.times(1.0 / upper) if upper is not None and upper > 0.0 else UNKNOWN
     return Check(axis, quantity, reference, measured, lower, upper, ratio, verdict, note=note)
 
 
 class AxisNoise(NamedTuple):
-    """The coefficients of one axis by term, and its Allan deviation curve; each None if unknown."""
+    """Noise of one axis: term -> coefficient, and the Allan deviation curve; None if unknown."""
 
     noise: Mapping[str, Estimate] | None
     curve: AxisCurve | None
 
 
 Run = Mapping[str, AxisNoise]
-"""Name of an axis -> coefficients and curve of this axis in one recording."""
+"""One recording: name of an axis -> coefficients and Allan deviation curve of this axis."""
 
 
 def differences(pairs: Iterable[tuple[str, Run, Run]]) -> list[tuple[Check, ...]]:
-    """Return for each pair of recordings the checks of the second against the first recording.
+    """Compare the second with the first recording of each pair, and return the checks of each pair.
 
     For each axis that both recordings have, the five terms and then the Allan deviations at common
-    averaging times are compared. The verdicts are corrected for the number of all comparisons of
-    all pairs: the probability of any false detection is below `FAMILY_ERROR`.
+    averaging times are compared. The verdicts are corrected for the total number of comparisons in
+    all pairs: the probability of one or more false detections is below `FAMILY_ERROR`.
 
     Parameters
     ----------
     pairs : iterable of (name of the first recording, first recording, second recording)
     """
-    found = [list(_run_differences(*pair)) for pair in pairs]
-    decided = iter(_with_verdicts(list(chain(*found)), FAMILY_ERROR))
-    return [tuple(islice(decided, len(checks))) for checks in found]
+    undecided = [list(_run_differences(*pair)) for pair in pairs]
+    with_verdicts = iter(_with_verdicts(list(chain(*undecided)), FAMILY_ERROR))
+    return [tuple(islice(with_verdicts, len(checks))) for checks in undecided]
 
 
 def _run_differences(reference: str, first: Run, second: Run) -> Iterator[Check]:
@@ -309,23 +315,31 @@ def _run_differences(reference: str, first: Run, second: Run) -> Iterator[Check]
 def _curve_differences(
     axis: str, reference: str, first: AxisCurve, second: AxisCurve
 ) -> Iterator[Check]:
-    """Yield the checks of deviations interpolated at common averaging times, without verdicts."""
+    """Yield a check, without a verdict, of the Allan deviations at each common averaging time.
+
+    The deviations are interpolated at these averaging times.
+    """
     from scipy import special
 
-    points = _log_points(first), _log_points(second)
-    if not all(len(one) for one in points):
+    curves = _log_points(first), _log_points(second)
+    if not all(len(points) for points in curves):
         return
-    tau = math.exp(max(one[0, 0] for one in points))
-    longest = math.exp(min(one[-1, 0] for one in points))
+    tau = math.exp(max(points[0, 0] for points in curves))
+    longest = math.exp(min(points[-1, 0] for points in curves))
     while tau <= longest * (1.0 + 1e-9):
         (adev_a, edf_a), (adev_b, edf_b) = (
-            tuple(math.exp(np.interp(math.log(tau), one[:, 0], one[:, i])) for i in (1, 2))
-            for one in points
+            tuple(math.exp(np.interp(math.log(tau), points[:, 0], points[:, i])) for i in (1, 2))
+            for points in curves
         )
-        f = (adev_b / adev_a) ** 2
-        low, high = (math.sqrt(f / special.fdtri(edf_b, edf_a, q)) for q in (0.975, 0.025))
-        below, above = special.fdtr(edf_b, edf_a, f), special.fdtrc(edf_b, edf_a, f)
-        p = min(2.0 * float(min(below, above)), 1.0)
+        variance_ratio = (adev_b / adev_a) ** 2
+        low, high = (
+            math.sqrt(variance_ratio / special.fdtri(edf_b, edf_a, q)) for q in (0.975, 0.025)
+        )
+        p_below, p_above = (
+            special.fdtr(edf_b, edf_a, variance_ratio),
+            special.fdtrc(edf_b, edf_a, variance_ratio),
+        )
+        p = min(2.0 * float(min(p_below, p_above)), 1.0)
         ratio, measured = Estimate(adev_b / adev_a, (low, high)), Estimate(adev_b)
         yield Check(axis, 'adev', reference, measured, None, adev_a, ratio, tau=tau, p=p)
         tau *= TAU_RATIO
@@ -342,22 +356,25 @@ def _log_points(curve: AxisCurve) -> Floats:
     return np.log(np.stack([curve.tau, curve.adev, edf], axis=1)[is_comparable])
 
 
-def _with_verdicts(found: Sequence[Check], family_error: float) -> list[Check]:
-    """Return the checks with verdicts by Holm's procedure."""
-    p_values = sorted((d.p, i) for i, d in enumerate(found) if d.p is not None)
-    significant: set[int] = set()
+def _with_verdicts(checks: Sequence[Check], family_error: float) -> list[Check]:
+    """Return the checks with their verdicts, which Holm's procedure determines."""
+    p_values = sorted((check.p, i) for i, check in enumerate(checks) if check.p is not None)
+    significant_indices: set[int] = set()
     for rank, (p, i) in enumerate(p_values):
         if p > family_error / (len(p_values) - rank):
             break
-        significant.add(i)
-    return [replace(d, verdict=_judged(d, i in significant)) for i, d in enumerate(found)]
+        significant_indices.add(i)
+    return [
+        replace(check, verdict=_judged(check, i in significant_indices))
+        for i, check in enumerate(checks)
+    ]
 
 
-def _judged(check: Check, significant: bool) -> Judgement:
+def _judged(check: Check, is_significant: bool) -> Judgement:
     if check.p is None or check.ratio.ci95 is None:
         return 'undecided'
-    if not significant:
-        # Two estimates without a significant difference are alike; a limit alone is inconclusive.
+    if not is_significant:
+        # If only one recording resolves the coefficient, the test is inconclusive.
         return 'undecided' if check.ratio.value is None else 'alike'
     return 'higher' if check.ratio.ci95[0] > 1.0 else 'lower'
 
@@ -366,25 +383,27 @@ def _term_difference(
     axis: str, term: str, reference: str, first: Estimate, second: Estimate
 ) -> Check:
     a, b = _known(first), _known(second)
-    before = _limit(first) if a is None else a[0]
-    unknown = Check(axis, term, reference, second, upper=before)
-    power = 1.0 if term == 'R' else 2.0  # errors are normal for R, and for the square of others
+    reference_value = _limit(first) if a is None else a[0]
+    check = Check(axis, term, reference, second, upper=reference_value)
+    # the errors of R and of the squares of the other terms are normally distributed
+    power = 1.0 if term == 'R' else 2.0
     if a is not None and b is not None:
         ratio, ci95, p = _ratio_of_estimates(a, b)
-        return replace(unknown, ratio=Estimate(ratio, ci95), p=p)
+        return replace(check, ratio=Estimate(ratio, ci95), p=p)
     if a is not None and (limit := _limit(second)) is not None:
         ratio_below = replace(UNKNOWN, recording_ci95=(0.0, limit / a[1]))
-        return replace(unknown, ratio=ratio_below, p=_p_value_of_limit(a, limit, power))
+        return replace(check, ratio=ratio_below, p=_p_value_of_limit(a, limit, power))
     if b is not None and (limit := _limit(first)) is not None:
         ratio_above = replace(UNKNOWN, recording_ci95=(b[1] / limit, math.inf))
-        return replace(unknown, ratio=ratio_above, p=_p_value_of_limit(b, limit, power))
-    return unknown
+        return replace(check, ratio=ratio_above, p=_p_value_of_limit(b, limit, power))
+    return check
 
 
 def _known(c: Estimate) -> Known | None:
-    """Return the value, moved into its interval, and the ends of the interval.
+    """Return the value of a coefficient and the ends of its interval.
 
-    Returns None if the coefficient is not resolved, or if the interval reaches 0.
+    A value outside of the interval is replaced by the nearest end. Returns None if the coefficient
+    is not resolved, or if the interval reaches 0.
     """
     if c.status != 'estimated' or not c.value or c.ci95 is None:
         return None
@@ -413,8 +432,8 @@ def _ratio_of_estimates(a: Known, b: Known) -> tuple[float, tuple[float, float],
     log_ratio = math.log(b[0]) - math.log(a[0])
     down = math.hypot(_width(b[0], b[1], b), _width(a[2], a[0], a))
     up = math.hypot(_width(b[2], b[0], b), _width(a[0], a[1], a))
-    facing = down if log_ratio > 0.0 else up
-    z = abs(log_ratio) * Z_95 / facing if facing > 0.0 else math.inf * bool(log_ratio)
+    half_width = down if log_ratio > 0.0 else up
+    z = abs(log_ratio) * Z_95 / half_width if half_width > 0.0 else math.inf * bool(log_ratio)
     interval = _exp(log_ratio - down), _exp(log_ratio + up)
     return _exp(log_ratio), interval, min(2.0 * float(special.ndtr(-z)), 1.0)
 
@@ -430,10 +449,12 @@ def _width(upper: float, lower: float, x: Known) -> float:
 
 
 def _p_value_of_limit(a: Known, limit: float, power: float) -> float:
-    """Return the p value of equality of an estimate in one recording and a limit in the other.
+    """Return the p value of equal noise if only one of two recordings resolves the coefficient.
 
-    The p value follows from the confidence level at which the lower limit of the estimate ``a``
-    equals the upper limit. The coefficient to the power ``power`` is assumed to have normal errors.
+    ``a`` is the estimate from this recording, and ``limit`` is the upper limit from the other
+    recording. The p value follows from the confidence level at which the lower limit of ``a``
+    equals the upper limit. The errors of the coefficient to the power ``power`` are assumed to be
+    normally distributed.
     """
     # At the normal quantile z, the lower limit of the estimate is value exp(-s z), where s is the
     # standard error of its logarithm. The upper limit is limit (z / 1.96)^(1 / power), because the
@@ -448,17 +469,23 @@ def _p_value_of_limit(a: Known, limit: float, power: float) -> float:
     # function gives the solution, here in logarithms.
     right = math.log(scale * Z_95) + power * (math.log(value) - math.log(limit))
     z = float(special.wrightomega(right)) / scale
-    # At a lower confidence than 95 %, the limit is unknown.
+    # The upper limit is known only for a confidence level of 95 % or more.
     return min(4.0 * float(special.ndtr(-z)), 1.0) if z >= Z_95 else 1.0
 
 
 def _degrees_of_freedom(low: Floats, high: Floats) -> Floats:
-    """Return the degrees of freedom whose chi-squared limits have the ratio high / low."""
+    """Return the degrees of freedom of deviations with the limits ``low`` and ``high``, (n,).
+
+    The result follows from the ratio high / low. It is NaN if a limit is invalid.
+    """
     from scipy import special
 
     tail = (1.0 - CI_LEVEL) / 2.0
-    ratio = np.log(special.chdtri(EDF_TABLE, tail) / special.chdtri(EDF_TABLE, 1.0 - tail)) / 2.0
-    found: Floats = np.exp(
-        np.interp(np.log(np.log(high / low)), np.log(ratio)[::-1], np.log(EDF_TABLE)[::-1])
+    # the limits of a deviation are proportional to the root of 1 / chi^2
+    log_ratios = (
+        np.log(special.chdtri(EDF_TABLE, tail) / special.chdtri(EDF_TABLE, 1.0 - tail)) / 2.0
     )
-    return np.where(np.isfinite(low) & (low > 0.0) & (high > low), found, np.nan)
+    degrees: Floats = np.exp(
+        np.interp(np.log(np.log(high / low)), np.log(log_ratios)[::-1], np.log(EDF_TABLE)[::-1])
+    )
+    return np.where(np.isfinite(low) & (low > 0.0) & (high > low), degrees, np.nan)

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""`Estimate`: a measured number with its 95 % interval or its limits, and its text."""
+"""`Estimate`, a measured number with its 95 % interval or its limits, and its text for users."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ Ends = tuple[float, float]
 """Ends of an interval: (low, high)."""
 
 Status = Literal['estimated', 'likely', 'not_observable']
-"""Whether a number is resolved ('estimated') or not ('likely', 'not_observable'). The square of a
-'likely' number exceeds 0 by more than one standard error."""
+"""Whether a number is resolved ('estimated') or not ('likely', 'not_observable'). The estimated
+square of a 'likely' number exceeds 0 by more than the standard error of this square."""
 
 Z_95 = 1.96
 """Normal quantile of 97.5 %, for both ends of a 95 % interval and for a 95 % upper limit.
@@ -48,7 +48,7 @@ class Estimate:
         that can be negative, ``upper95`` limits the magnitude.
     status : 'estimated', 'likely' or 'not_observable'
         'estimated' if the data show that the number is not 0. A 'likely' number is not resolved,
-        but its square exceeds 0 by more than one standard error.
+        but its estimated square exceeds 0 by more than the standard error of this square.
     lower95 : float or None
         95 % lower limit of a number whose interval has no upper end, else None.
     predictive_ci95 : (low, high) or None
@@ -59,7 +59,7 @@ class Estimate:
     unit : str
         Unit of the value, the intervals and the limits; '' for a ratio, or if unknown.
     axis : str
-        Axis of the IMU, such as 'gyro_z', or sensor; '' if the number belongs to neither.
+        Axis of the IMU, such as 'gyro_z', or sensor; '' if the number belongs to no axis or sensor.
 
     Examples
     --------
@@ -99,7 +99,10 @@ class Estimate:
 
     @property
     def std(self) -> float:
-        """Standard error: half the width of the interval, divided by 1.96; NaN if it is unknown."""
+        """Standard error: half the width of the 95 % interval, divided by 1.96.
+
+        NaN if the interval is unknown.
+        """
         low, high = self.ci95 or (math.nan, math.nan)
         return (high - low) / (2.0 * Z_95)
 
@@ -107,7 +110,7 @@ class Estimate:
     def largest(self) -> float:
         """Largest magnitude in the interval; without an interval, the magnitude of the value.
 
-        NaN if both are unknown.
+        NaN if interval and value are unknown.
         """
         return max(map(abs, self.ci95 or (math.nan if self.value is None else self.value,)))
 
@@ -115,7 +118,7 @@ class Estimate:
     def ci95(self) -> Ends | None:
         """The 95 % interval that is shown and exported.
 
-        It is the predictive interval if this is known, else the interval for the recording.
+        This is the predictive interval if it is known, else the interval for the recording.
         """
         return self.predictive_ci95 or self.recording_ci95
 
@@ -147,8 +150,8 @@ class Estimate:
             low, high = sorted(factor * end for end in interval)
             return low, high
 
-        def limit(known: float | None) -> float | None:
-            return None if known is None else abs(factor) * known
+        def limit(bound: float | None) -> float | None:
+            return None if bound is None else abs(factor) * bound
 
         return replace(
             self,
@@ -173,17 +176,19 @@ class Estimate:
             When the unit is unknown or of another kind; the message lists the possible units.
         """
         expect(str, unit=unit)
-        known = UNITS[self.unit]
-        return replace(self.times(known.factor / to_si(1.0, unit, known.si)), unit=unit)
+        present_unit = UNITS[self.unit]
+        return replace(
+            self.times(present_unit.factor / to_si(1.0, unit, present_unit.si)), unit=unit
+        )
 
     def document(self) -> dict[str, Any]:
         """Return the estimate as a JSON object; unknown numbers are None."""
-        known: dict[str, Any] = {'value': self.value, 'ci95': self.ci95}
+        numbers: dict[str, Any] = {'value': self.value, 'ci95': self.ci95}
         if self.predictive_ci95 is not None:
-            known['recording_ci95'] = self.recording_ci95
+            numbers['recording_ci95'] = self.recording_ci95
         if self.lower95 is not None:
-            known['lower95'] = self.lower95
-        return {**known, 'upper95': self.upper95, 'status': self.status}
+            numbers['lower95'] = self.lower95
+        return {**numbers, 'upper95': self.upper95, 'status': self.status}
 
     @classmethod
     def from_document(cls, fields: Fields, signed: bool = False) -> Estimate:
@@ -238,7 +243,7 @@ def value_text(estimate: Estimate, unit: ShownUnit) -> str:
 def interval_text(estimate: Estimate, unit: ShownUnit) -> str:
     """Return the 95 % interval of an estimate as ``low..high``.
 
-    The text is '' if the number is not resolved, or if it is known exactly.
+    The text is '' if the number is not resolved, has no interval, or is known exactly.
 
     >>> interval_text(Estimate(-2.0, (-2.5, -1.5)), ShownUnit('', 1.0))
     '-2.50..-1.50'
@@ -250,15 +255,17 @@ def interval_text(estimate: Estimate, unit: ShownUnit) -> str:
         return ''
     is_narrow = high - low < 0.02 * max(abs(low), abs(high))
     digits = VALUE_DIGITS if is_narrow else LIMIT_DIGITS
-    return '..'.join(significant(limit * unit.factor, digits) for limit in (low, high))
+    return '..'.join(significant(end * unit.factor, digits) for end in (low, high))
 
 
 def known_numbers(estimate: Estimate, unit: ShownUnit) -> tuple[float | None, ...]:
     """Return the value, the two ends of its interval, and the upper limit, in ``unit``.
 
     A resolved number has no upper limit, and a number that is not resolved has only an upper limit.
-    The other numbers are None.
+    Missing numbers are None.
     """
-    known = estimate.shown.times(unit.factor)
-    low, high = known.ci95 if known.resolved and known.ci95 is not None else (None, None)
-    return known.value, low, high, None if known.resolved else known.upper95
+    converted = estimate.shown.times(unit.factor)
+    low, high = (
+        converted.ci95 if converted.resolved and converted.ci95 is not None else (None, None)
+    )
+    return converted.value, low, high, None if converted.resolved else converted.upper95

@@ -23,10 +23,10 @@ from .imu import to_si
 T = TypeVar('T')
 
 MAX_INTEGER = 2**62
-"""Largest magnitude of counts and stamps: the sum of two of them fits into 64 bits."""
+"""Largest magnitude of counts and stamps: the sum of two such numbers fits into 64 bits."""
 
 MAX_FLOAT = 1e150
-"""Largest magnitude of numbers: their square is a finite float64."""
+"""Largest magnitude of a number in a document: its square is a finite float64."""
 
 MAX_TEXT = 100_000
 """Largest number of characters in a text, unless the reader of a key gives a smaller limit."""
@@ -36,8 +36,8 @@ MAX_ITEMS = 1_000_000
 
 Signed = Annotated[float, 'may be negative']
 SignedInt = Annotated[int, 'may be negative']
-"""Types of dataclass fields that may be negative in a document. Fields of the types float and int
-must be 0 or above."""
+"""Types of dataclass fields whose values may be negative in a document. The values of fields of the
+types float and int must be 0 or above."""
 
 _REQUIRED = object()
 
@@ -112,8 +112,8 @@ class Fields:
         found = self._document.get('schema')
         if found != expected:
             raise AllanError(
-                f'{self.where}: schema is {_shown(found)}, this version reads {expected!r}: '
-                'give a file that it wrote'
+                f'{self.where}: schema is {_shown(found)}, but this version reads {expected!r}: '
+                'give a file that this version wrote'
             )
 
     def only(self, *known: str) -> None:
@@ -160,7 +160,7 @@ class Fields:
             return to_si(value, stated, unit)
 
     def numbers(self, key: str) -> NDArray[np.float64]:
-        """Return a list of numbers as an array, (n,), with NaN for null."""
+        """Return a list of numbers as an array, (n,), in which NaN replaces null."""
         return np.array(
             [math.nan if v is None else self._number(key, v) for v in self.sequence(key)], float
         )
@@ -187,8 +187,8 @@ class Fields:
             for row in value
         )
         if not is_regular:
-            above = ' of 0 or above' if least == 0.0 else ''
-            expected = f'a table of {rows} x {columns} finite numbers{above}'
+            range_text = ' of 0 or above' if least == 0.0 else ''
+            expected = f'a table of {rows} x {columns} finite numbers{range_text}'
             raise self._wrong(key, value, expected)
         return np.array(value, float).reshape(rows, columns)
 
@@ -219,11 +219,12 @@ class Fields:
             yield Fields(item, f'{self.where}.{key}[{i}]', self._names)
 
     def record(self, kind: type[T], **known: Any) -> T:
-        """Return a dataclass or named tuple whose fields are the keys of this object.
+        """Return a dataclass or named tuple of type ``kind`` with the values of this object.
 
         If ``kind`` has a method ``from_document``, the result of this method is returned. Otherwise
-        each field is read as its annotated type. Fields in ``known`` are not read, but get the
-        given values. Fields with a default may be missing.
+        the value of each field is read from the key of this name as the annotated type. The fields
+        in ``known`` are not read; their values are given. Keys of fields with a default may be
+        missing.
         """
         if (from_document := getattr(kind, 'from_document', None)) is not None:
             read: T = from_document(self)
@@ -253,7 +254,7 @@ class Fields:
         if origin is Mapping:
             numbers = self.fields(key)
             return {name: numbers.number(name, -MAX_FLOAT) for name in numbers._document}
-        if origin in (np.ndarray, NDArray):  # from numpy 2.5 on, NDArray is a type itself
+        if origin in (np.ndarray, NDArray):  # from numpy 2.5 on, the origin is NDArray
             is_whole = np.int64 in (args[-1], *get_args(args[-1]))
             return self.integers(key, len(self.sequence(key))) if is_whole else self.numbers(key)
         if args[1:] == (Ellipsis,) and args[0] is str:
@@ -309,7 +310,7 @@ class Fields:
         except OverflowError:  # JSON integers have no bound
             number = math.inf
         if not -MAX_FLOAT <= number <= MAX_FLOAT:
-            raise self._wrong(key, value, f'a number within {MAX_FLOAT:g}')
+            raise self._wrong(key, value, f'a number from {-MAX_FLOAT:g} to {MAX_FLOAT:g}')
         return number
 
     def _wrong(self, key: str, value: object, expected: str) -> AllanError:
@@ -323,7 +324,7 @@ def _hints(kind: type) -> dict[str, Any]:
 
 def _shown(value: object) -> str:
     if isinstance(value, (dict, list)):
-        return f'a {type(value).__name__} of {len(value)}'
+        return f'a {type(value).__name__} of length {len(value)}'
     if isinstance(value, float) and math.isinf(value):
         return 'a number beyond 1.8e308'
     text = repr(value if not isinstance(value, str) else value[:40])

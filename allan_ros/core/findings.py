@@ -1,8 +1,9 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Findings: what is reported to the user about a recording or a running node, as data.
+"""Findings: reports to the user about a recording or a running node, as data objects.
 
-A finding has an id of the catalog ``findings.txt`` and numbers. Its text is made at the output.
+A finding has an id from the catalog ``findings.txt``, and numbers. The text is made by
+`view.finding_text`.
 """
 
 from __future__ import annotations
@@ -73,13 +74,13 @@ class Finding:
         Id of the finding in the catalog, such as 'vibration'.
     severity : 'error', 'warning' or 'info'
     axes : tuple of str
-        The affected axes; empty for all of them.
+        The affected axes; empty if all axes are affected.
     values : mapping of str to int, float, str or Estimate
         The numbers in the text: quantities in SI, times in s, frequencies in Hz, shares from 0 to
-        1. In a merged finding, a tuple contains the different values of the axes.
+        1. In a merged finding, a value is a tuple if the axes have different values.
     stated : (message, remedy) or None
-        The text in a document of another version, for an id or values that the present catalog
-        does not contain; None for a finding of the present catalog.
+        Text of a finding that was read from a document of another version, if the present catalog
+        does not contain its id or its values; else None.
     """
 
     id: str
@@ -95,11 +96,11 @@ class Finding:
 
     def document(self) -> dict[str, Any]:
         """Return the finding as a JSON object, with its values in SI."""
-        words = dict(zip(('message', 'remedy'), self.stated)) if self.stated else {}
+        texts = dict(zip(('message', 'remedy'), self.stated)) if self.stated else {}
         return {
             'id': self.id,
             'severity': self.severity,
-            **words,
+            **texts,
             'axes': list(self.axes),
             'values': {name: _plain(value) for name, value in self.values.items()},
         }
@@ -136,15 +137,15 @@ _FAULTS, _COUNTS, LIVE, UNUSABLE = (
     re.findall(rf'(?m)^\[{name}\]\n((?: .*\n)*)', _TEXT)[0].split()
     for name in ('faults', 'numbers', 'live', 'unusable')
 )
-"""Lists of ids, which comments in ``findings.txt`` describe."""
+"""Ids in four lists of ``findings.txt``. Comments in this file describe the lists."""
 
 MINOR: dict[str, Callable[[Mapping[str, Any]], bool]] = {
-    'level_changes': lambda of: of['high'].value < 1.1 * of['low'].value,
-    'lack_of_fit': lambda of: abs(of['deviation']) < 0.05,
-    'tilted': lambda of: of['angle'] < 1.0,
+    'level_changes': lambda values: values['high'].value < 1.1 * values['low'].value,
+    'lack_of_fit': lambda values: abs(values['deviation']) < 0.05,
+    'tilted': lambda values: values['angle'] < 1.0,
 }
-"""Id -> function that returns whether the values are too small to affect a state estimator. If so,
-the severity is info. The angle of a tilt is in deg."""
+"""Id -> function of the values of a finding, which returns whether these values are too small to
+affect a state estimator. Such a finding has the severity info. The angle of a tilt is in deg."""
 
 
 def finding(id: str, axes: tuple[str, ...] = (), **values: object) -> Finding:
@@ -159,27 +160,28 @@ def finding(id: str, axes: tuple[str, ...] = (), **values: object) -> Finding:
     values : int, float, str, Estimate or tuple of Estimate
         The values that the catalog lists for this id. Only optional values and ``when``, a text
         such as ' in the last 20 s', may be missing. A quantity is given as the result of
-        `quantity`, or as a number in SI for the sensor of the axes.
+        `quantity`, or as a number in SI. The sensor of such a number is the value ``sensor`` or, if
+        this value is missing, the sensor of the first axis.
 
     Raises
     ------
     KeyError
         When the id is unknown, or a value is missing.
     """
-    known, used = CATALOG[id], {}
-    for name, term in known.values.items():
+    entry, stored = CATALOG[id], {}
+    for name, term in entry.values.items():
         value = values.get(name, '' if name == 'when' else None)
         if term and isinstance(value, (int, float)):
             value = quantity(value, str(values.get('sensor') or sensor_of(axes[0])), term)
-        used[name] = _value(value)
-    if missing := missing_values(known, used):
+        stored[name] = _value(value)
+    if missing := missing_values(entry, stored):
         raise KeyError(f'{id}: {", ".join(missing)}')
-    severity = 'info' if id in MINOR and MINOR[id](used) else known.severity
-    return Finding(id, severity, axes, used)
+    severity = 'info' if id in MINOR and MINOR[id](stored) else entry.severity
+    return Finding(id, severity, axes, stored)
 
 
 def missing_values(known: CatalogEntry, values: Mapping[str, Any]) -> list[str]:
-    """Return the names of the required values of an entry that ``values`` does not contain."""
+    """Return the names of the values that an entry requires and ``values`` does not contain."""
     return [
         name for name in known.values if name not in known.optional and values.get(name) is None
     ]
@@ -215,7 +217,7 @@ def grouped(findings: Iterable[Finding]) -> tuple[Finding, ...]:
 
 
 def _kind(value: Any) -> Hashable:
-    """Return what the values of two findings must have in common, so that they are merged."""
+    """Return the part of a value that must be equal in two findings that are merged."""
     if isinstance(value, Estimate):
         return value.axis, value.name, value.value is None
     is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
@@ -232,9 +234,9 @@ def _merged(alike: Sequence[Finding]) -> Finding:
 
 
 def by_consequence(findings: Iterable[Finding]) -> tuple[Finding, ...]:
-    """Return findings in the order of their effect on the user, the largest first.
+    """Return findings sorted by their consequence for the user, the most serious finding first.
 
-    The order is: faults and other errors, findings that change the numbers for a state estimator,
+    The order is: faults, other errors, findings that change the numbers for a state estimator,
     other warnings, notes. The lists in the catalog define the order of the faults, and of the
     findings that change numbers.
     """
@@ -248,8 +250,8 @@ def is_note(finding: Finding) -> bool:
 
 def _rank(finding: Finding) -> tuple[int, int]:
     """Return the group of a finding and its place in this group, as a key for sorting."""
-    known = CATALOG.get(finding.id)
-    if known is not None and finding.severity == known.severity:
+    entry = CATALOG.get(finding.id)
+    if entry is not None and finding.severity == entry.severity:
         for group, ids in enumerate((_FAULTS, _COUNTS)):
             if finding.id in ids:
                 return group, ids.index(finding.id)

@@ -29,8 +29,8 @@ SENSORS = {'gyro': slice(0, 3), 'accel': slice(3, 6)}
 """Sensor -> slice of its axes in `AXES`."""
 
 LARGEST = 1e30
-"""Largest magnitude of a sample in SI. No IMU measures larger values, and the sum of their squares
-over years is a finite float64."""
+"""Largest magnitude of a sample in SI. No IMU measures larger values, and the sum of the squares of
+such samples over years is a finite float64."""
 
 MAX_NAME = 1000
 """Largest number of characters in a frame_id or hardware id. Longer names indicate corruption or an
@@ -41,8 +41,8 @@ attack."""
 class ImuBatch:
     """Consecutive samples of an IMU, in the order received.
 
-    A reader yields batches of six axes. `SampleClock` and the stages after it make batches of some
-    axes that are evenly spaced.
+    A reader yields batches of six axes. The batches of `SampleClock` and of later processing stages
+    contain evenly spaced samples, and may contain only some of the axes.
 
     Attributes
     ----------
@@ -57,10 +57,11 @@ class ImuBatch:
     frame_id : str
         ``header.frame_id`` of all samples of this batch; '' if the source has none.
     cut : str
-        '' if the batch directly follows the previous one, else the reason for the gap between them.
+        Reason for the gap between the previous batch and this batch; '' if there is no gap.
     filled : (axes, n) int32 array or None
-        0 for measured values, else the level of the stretch of replaced values (see
-        `allan.replaced`). None if all values are measured.
+        0 for measured values. For replaced values, the number of samples over which the signal was
+        averaged before and after the replaced stretch (see `core.allan.replaced_stretches`). None
+        if all values are measured.
     """
 
     stamps_ns: NDArray[np.int64]
@@ -124,10 +125,10 @@ class ImuBatch:
         ``which`` is a slice, an array of indices, (k,), or an array of flags, (n,). A slice
         returns views of the arrays, other selections return copies.
         """
-        record = None if self.record_ns is None else self.record_ns[which]
+        record_ns = None if self.record_ns is None else self.record_ns[which]
         filled = None if self.filled is None else self.filled[:, which]
         rows = self.samples.T[:, which]  # keeps the samples of an axis together
-        return ImuBatch(self.stamps_ns[which], rows.T, record, self.frame_id, cut, filled)
+        return ImuBatch(self.stamps_ns[which], rows.T, record_ns, self.frame_id, cut, filled)
 
     def copy(self) -> ImuBatch:
         """Return a batch that shares no memory with this one; each axis is contiguous."""
@@ -135,11 +136,11 @@ class ImuBatch:
 
 
 def joined(batches: Sequence[ImuBatch], copy: bool = False) -> ImuBatch:
-    """Concatenate consecutive batches, at least one; each axis of the result is contiguous.
+    """Concatenate one or more consecutive batches; each axis is contiguous in the result.
 
     Batches without samples are ignored. The result has the ``cut`` of the first batch and the
     frame_id of the last batch. The record times are None unless all batches have record times. If
-    only one batch has samples, this batch is returned, or a copy of it if ``copy`` is set.
+    only one batch has samples, this batch is returned unchanged, or is copied if ``copy`` is set.
     """
     parts = [part for part in batches if len(part)] or list(batches[:1])
     if len(parts) == 1 and not copy:
@@ -338,7 +339,7 @@ def sensor_of(axis: str) -> str:
 
 
 def axes_of_sensors(axes: Sequence[str]) -> dict[str, list[int]]:
-    """Return sensor -> indices of its axes.
+    """Return a dict: sensor -> indices of the axes of this sensor in ``axes``.
 
     >>> axes_of_sensors(['gyro_z', 'accel_x', 'accel_y'])
     {'gyro': [0], 'accel': [1, 2]}
@@ -372,7 +373,7 @@ def to_si(value: float, unit: str, si: str) -> float:
     Raises
     ------
     AllanError
-        When the unit is unknown, or of another quantity; the message lists the possible units.
+        When the unit is unknown, or has another SI unit; the message lists the possible units.
     """
     known = UNITS.get(unit)
     if known is None or known.si != si:
@@ -382,7 +383,7 @@ def to_si(value: float, unit: str, si: str) -> float:
 
 
 def sample_factors(gyro_unit: str, accel_unit: str) -> NDArray[np.float64]:
-    """Return the factors that convert samples from these units to SI, (6,), one for each axis."""
+    """Return the factors that convert samples in the given units to SI, (6,), one for each axis."""
     return np.repeat([UNITS[gyro_unit].factor, UNITS[accel_unit].factor], 3)
 
 
@@ -394,5 +395,5 @@ class ImuIdentity(NamedTuple):
 
     @property
     def label(self) -> str:
-        """Name for users: the serial number or the frame_id, safe to print."""
+        """Name for users, safe to print: the serial number if it is known, else the frame_id."""
         return one_line(self.hardware_id or self.frame_id)

@@ -2,8 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Memory for large arrays that are written often.
 
-A processor writes 64 bytes at once. Writing takes up to three times as long if these bytes are in
-two lines of the processor cache. numpy aligns arrays only to 16 bytes.
+A processor writes 64 bytes at once. Writing takes up to three times as long if these bytes lie in
+two cache lines. numpy arrays begin at any multiple of 16 bytes; the arrays of this module begin at
+the start of a cache line.
 """
 
 from __future__ import annotations
@@ -16,10 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 LINE = 64
-"""Number of bytes in a line of the processor cache."""
+"""Size of a line of the processor cache in bytes."""
 
 KNOWN = 32
-"""Largest number of combinations of shapes whose arrays are kept for the next request."""
+"""Largest number of different requests, each with a dtype and shapes, whose arrays are kept."""
 
 
 def aligned(shape: tuple[int, ...], kind: str = 'f8') -> NDArray[Any]:
@@ -39,8 +40,8 @@ def aligned(shape: tuple[int, ...], kind: str = 'f8') -> NDArray[Any]:
 class WorkMemory(threading.local):
     """Memory of a thread that is reused for temporary arrays.
 
-    New arrays of some 100 kB would cause a page fault for every 4 kB. The memory grows to the size
-    of the largest request and never shrinks, so the requested arrays must be of limited size.
+    New arrays of some 100 kB would cause a page fault for every 4 kB. The reused memory grows to
+    the size of the largest request and never shrinks, so the size of requests must be limited.
     """
 
     def __init__(self) -> None:
@@ -56,15 +57,15 @@ class WorkMemory(threading.local):
         if key in self._known:
             return self._known[key]
         sizes = [math.prod(shape) * np.dtype(kind).itemsize for shape in shapes]
-        begins = [0]
+        starts = [0]
         for size in sizes:
-            begins.append(begins[-1] + size + -size % LINE)
-        if self._memory.nbytes < begins[-1]:
-            self._memory = aligned((begins[-1],), 'u1')
+            starts.append(starts[-1] + size + -size % LINE)
+        if self._memory.nbytes < starts[-1]:
+            self._memory = aligned((starts[-1],), 'u1')
             self._known.clear()
         elif len(self._known) >= KNOWN:
             self._known.clear()
-        parts = (self._memory[begin : begin + size] for begin, size in zip(begins, sizes))
-        found = [part.view(kind).reshape(shape) for part, shape in zip(parts, shapes)]
-        self._known[key] = found
-        return found
+        parts = (self._memory[start : start + size] for start, size in zip(starts, sizes))
+        arrays_of_shapes = [part.view(kind).reshape(shape) for part, shape in zip(parts, shapes)]
+        self._known[key] = arrays_of_shapes
+        return arrays_of_shapes

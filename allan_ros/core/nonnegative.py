@@ -27,7 +27,7 @@ def nonnegative_least_squares(
     target : array, shape (rows,)
         Right-hand side of the equations.
     signed : array of bool, shape (columns,), or bool
-        True for the unknowns that may be negative; by default, none may.
+        True for each unknown that may be negative; by default, no unknown may be negative.
 
     Returns
     -------
@@ -43,24 +43,24 @@ def nonnegative_least_squares(
     columns = matrix.shape[1]
     signed = np.broadcast_to(np.asarray(signed, bool), columns)
 
-    def solved(free: NDArray[np.bool_]) -> Floats:
+    def solved(is_free: NDArray[np.bool_]) -> Floats:
         x = np.zeros(columns)
-        x[free] = np.linalg.lstsq(matrix[:, free], target, rcond=None)[0]
+        x[is_free] = np.linalg.lstsq(matrix[:, is_free], target, rcond=None)[0]
         return x
 
-    free = np.ones(columns, bool)
-    while np.any((x := solved(free))[~signed] < 0.0):  # finds a start near the solution
-        free &= (x > 0.0) | signed
+    is_free = np.ones(columns, bool)
+    while np.any((x := solved(is_free))[~signed] < 0.0):  # start of the search, near the solution
+        is_free &= (x > 0.0) | signed
     rounding = 10.0 * max(matrix.shape) * np.finfo(float).eps
-    least = rounding * np.linalg.norm(matrix, axis=0) * np.linalg.norm(target)
+    rounding_gain = rounding * np.linalg.norm(matrix, axis=0) * np.linalg.norm(target)
     for _ in range(3 * columns):
-        gain = np.where(free, -np.inf, matrix.T @ (target - matrix @ x) - least)
+        gain = np.where(is_free, -np.inf, matrix.T @ (target - matrix @ x) - rounding_gain)
         if not gain.max() > 0.0:
             break
-        free[gain.argmax()] = True
-        while (is_below := free & ~signed & ((trial := solved(free)) <= 0.0)).any():
+        is_free[gain.argmax()] = True
+        while (is_below := is_free & ~signed & ((trial := solved(is_free)) <= 0.0)).any():
             x += (x[is_below] / (x[is_below] - trial[is_below])).min() * (trial - x)
-            free &= (x > rounding * x.max()) | signed
-            x[~free] = 0.0
+            is_free &= (x > rounding * x.max()) | signed
+            x[~is_free] = 0.0
         x = trial
     return x

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Numbers and durations as text, and units with a larger prefix."""
+"""Conversion of numbers and durations to text, and selection of the prefix of a unit."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import math
 from .imu import ShownUnit
 
 VALUE_DIGITS, LIMIT_DIGITS = 4, 3
-"""Significant digits of a value, and of the ends of its interval."""
+"""Numbers of significant digits of a value, and of a limit or an end of an interval."""
 
 
 def significant(value: float, digits: int) -> str:
@@ -42,7 +42,9 @@ def duration_text(seconds: float, digits: int = 2) -> str:
 
 
 def prefixed(unit: ShownUnit, size: float) -> ShownUnit:
-    """Return a unit with a larger prefix if ``size``, a value in SI, is 1000 or more in ``unit``.
+    """Return ``unit``, or this unit with a larger prefix if ``size`` would be 1000 or more in it.
+
+    ``size`` is a value in SI.
 
     >>> prefixed(ShownUnit('ug', 1e6 / 9.80665), 0.0274).name
     'mg'

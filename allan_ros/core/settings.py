@@ -40,7 +40,7 @@ class ParameterInfo:
 
 
 AUTO = -1.0
-"""The number that is stored for 'auto'."""
+"""The number that is stored for the text 'auto'."""
 
 
 def parameter(default: Any, doc: str, *limits: Any, **info: Any) -> Any:
@@ -53,7 +53,7 @@ def parameter(default: Any, doc: str, *limits: Any, **info: Any) -> Any:
     doc : str
         Help text.
     limits : str, float, float
-        Unit, smallest and largest value, in this order; the last ones may be missing.
+        Unit, smallest value and largest value, in this order; later items may be omitted.
     info : dict
         Further fields of `ParameterInfo` by name.
     """
@@ -81,15 +81,15 @@ EXPECTED: dict[Any, str] = {
     str: 'a text',
     LIST: 'a list',
 }
-"""Type of a setting -> its name in messages. A setting has the first type that matches its
-default."""
+"""Type of a setting -> name of this type in messages. The type of a setting is the first of these
+types that its default has."""
 
 
 def expect(kind: Any, called: str = '', /, **values: object) -> None:
-    """Raise AllanError for the first keyword argument that is not of the type or types ``kind``.
+    """Raise AllanError for the first keyword argument that does not have the type ``kind``.
 
-    The message contains the name of the argument and ``called``, the text for the expected type. By
-    default, this text is taken from `EXPECTED`.
+    ``kind`` is a type or a tuple of types. ``called`` is the name of the expected type in the
+    message, by default from `EXPECTED`.
     """
     for name, value in values.items():
         if not isinstance(value, kind) or (isinstance(value, bool) and kind is not bool):

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Simulation of a robot that drives and stops, with errors of its IMU that only motion shows."""
+"""Simulation of a robot that drives and stops, and of the errors that motion causes in its IMU."""
 
 from __future__ import annotations
 
@@ -46,11 +46,13 @@ class Route(CheckedSettings):
 
 @dataclass(frozen=True)
 class MotionErrors(CheckedSettings):
-    """Errors of an IMU that only motion shows; all are 0 by default.
+    """Errors that motion causes in an IMU, and motion at the rests; by default, there are none.
 
-    The elements of the error matrices are random. ``gyro_scale`` and ``accel_scale`` are the
-    standard deviations of the diagonal elements, ``gyro_misalignment`` of the other elements, and
-    ``g_sensitivity`` of all elements.
+    The elements of the three error matrices of `SimulatedDrives` are random. ``gyro_scale`` is the
+    standard deviation of the diagonal elements of the gyro matrix, and ``gyro_misalignment`` of its
+    other elements. ``accel_scale`` is the standard deviation of the diagonal elements of the
+    accelerometer matrix, whose other elements are 0. ``g_sensitivity`` is the standard deviation of
+    all elements of the third matrix.
 
     Raises
     ------
@@ -58,18 +60,20 @@ class MotionErrors(CheckedSettings):
         When a value lies outside its range.
     """
 
-    gyro_scale: float = parameter(0.0, 'scale factors of the gyro', low=0.0)
+    gyro_scale: float = parameter(0.0, 'scale factor errors of the gyro', low=0.0)
     gyro_misalignment: float = parameter(0.0, 'misalignments of the gyro', unit='rad', low=0.0)
-    accel_scale: float = parameter(0.0, 'scale factors of the accelerometer', low=0.0)
+    accel_scale: float = parameter(0.0, 'scale factor errors of the accelerometer', low=0.0)
     g_sensitivity: float = parameter(
         0.0, 'sensitivity of the gyro to specific force', unit='rad/s/(m/s^2)', low=0.0
     )
-    gyro_noise: float = parameter(1.0, 'factor of N of the gyro in motion', low=1.0)
-    accel_noise: float = parameter(1.0, 'factor of N of the accelerometer in motion', low=1.0)
+    gyro_noise: float = parameter(1.0, 'N of the gyro in motion, divided by N at rest', low=1.0)
+    accel_noise: float = parameter(
+        1.0, 'N of the accelerometer in motion, divided by N at rest', low=1.0
+    )
     vibration: float = parameter(
         0.0,
-        'standard deviation of the accelerometer error by vibration, at frequencies up to a tenth '
-        'of the rate; its logarithm varies from drive to drive with a standard deviation of 0.5',
+        'standard deviation of the vibration that the accelerometer measures, at frequencies up to '
+        'a tenth of the rate; its logarithm varies between drives with a standard deviation of 0.5',
         unit='m/s^2',
         low=0.0,
     )
@@ -81,27 +85,34 @@ class MotionErrors(CheckedSettings):
     )
     hits: float = parameter(
         0.0,
-        'standard deviation of the velocity error of the accelerometer at a shock, one in each '
-        'drive',
+        'standard deviation of the velocity error that a shock causes; each drive has one shock',
         unit='m/s',
         low=0.0,
     )
     waves: float = parameter(
-        0.0, 'amplitude of the tilt by waves of a ferry, also at rest', unit='rad', low=0.0
+        0.0,
+        'amplitude of the tilt of a ferry on waves, which continues at rest',
+        unit='rad',
+        low=0.0,
     )
     heating: float = parameter(
         0.0,
-        'standard deviation of the change of the gyro bias that the heat of motors causes',
+        'standard deviation of the change of the gyro bias by the heat of the motors',
         unit='rad/s',
         low=0.0,
     )
-    heating_time: float = parameter(120.0, 'time constant of the heating', unit='s', low=1.0)
+    heating_time: float = parameter(
+        120.0, 'time constant of this change of the gyro bias', unit='s', low=1.0
+    )
     creep: float = parameter(
-        0.0, 'standard deviation of the speed of wheels that creep at rest', unit='m/s', low=0.0
+        0.0,
+        'standard deviation of the speed at which the wheels creep at the rests',
+        unit='m/s',
+        low=0.0,
     )
     latitude: float = parameter(
         48.0,
-        'latitude, which determines the measured rotation of the Earth',
+        'latitude, which determines the direction of the rotation of the Earth',
         unit='deg',
         low=-90.0,
         high=90.0,
@@ -121,7 +132,8 @@ class SimulatedDrives:
     drives : tuple of (start, end)
         Index of the first sample of each drive, and of the first sample after the drive.
     angles : (n + 1, 3) array
-        True roll, pitch and yaw in rad at the start of each sample and at the end of the last.
+        True roll, pitch and yaw in rad at the start of each sample, and at the end of the last
+        sample.
     gyro_matrix : (3, 3) array
         Matrix whose product with the true angular rate is an error of the gyro.
     accel_matrix : (3, 3) array
@@ -179,28 +191,31 @@ def simulate_drives(
     n = len(path.moving)
     attitude = _from_euler(path.angles)
     rates = _rotation_vectors(np.swapaxes(attitude[:-1], 1, 2) @ attitude[1:]) * rate
-    middle = attitude[:-1] @ rotation_matrices(rates * (dt / 2.0))
+    middle_attitude = attitude[:-1] @ rotation_matrices(rates * (dt / 2.0))
     north, up = math.cos(math.radians(errors.latitude)), math.sin(math.radians(errors.latitude))
-    rates = rates + np.einsum('nji,j->ni', middle, EARTH_RATE * np.array([north, 0.0, up]))
+    rates = rates + np.einsum('nji,j->ni', middle_attitude, EARTH_RATE * np.array([north, 0.0, up]))
     velocity = attitude[:, :, 0] * path.speed[:, None]
-    specific = np.diff(velocity, axis=0) * rate + [0.0, 0.0, STANDARD_GRAVITY]
-    force = np.einsum('nji,nj->ni', middle, specific)
+    earth_force = np.diff(velocity, axis=0) * rate + [0.0, 0.0, STANDARD_GRAVITY]
+    sensor_force = np.einsum('nji,nj->ni', middle_attitude, earth_force)
     gyro_matrix = errors.gyro_misalignment * rng.standard_normal((3, 3))
     np.fill_diagonal(gyro_matrix, errors.gyro_scale * rng.standard_normal(3))
     accel_matrix = np.diag(errors.accel_scale * rng.standard_normal(3))
     sensitivity = errors.g_sensitivity * rng.standard_normal((3, 3))
-    heat = _first_order(path.moving, errors.heating_time * rate)[:, None] * rng.standard_normal(3)
-    measured = [
-        rates + rates @ gyro_matrix.T + force @ sensitivity.T + errors.heating * heat,
-        force + force @ accel_matrix.T,
+    heat = _first_order(path.moving, errors.heating_time * rate)
+    gyro_heat = heat[:, None] * rng.standard_normal(3)
+    without_noise = [
+        rates + rates @ gyro_matrix.T + sensor_force @ sensitivity.T + errors.heating * gyro_heat,
+        sensor_force + sensor_force @ accel_matrix.T,
     ]
-    at_rest = np.concatenate(
+    noise_at_rest = np.concatenate(
         [batch.samples for batch in simulate_imu(n * dt, rate, gyro, accel, seed=seed + 1)]
     )[:n] - [0, 0, 0, 0, 0, STANDARD_GRAVITY]
-    white = np.array([model.value('N') for model in (*gyro, *accel)])
+    white_noise = np.array([model.value('N') for model in (*gyro, *accel)])
     return SimulatedDrives(
         rate,
-        np.concatenate(measured, axis=1) + at_rest + _noise_in_motion(path, white, errors, rng),
+        np.concatenate(without_noise, axis=1)
+        + noise_at_rest
+        + _noise_in_motion(path, white_noise, errors, rng),
         path.drives,
         path.angles,
         gyro_matrix,
@@ -221,22 +236,25 @@ class _Path(NamedTuple):
     @classmethod
     def of(cls, rate: float, route: Route, errors: MotionErrors, rng: np.random.Generator) -> _Path:
         """Draw a random path. The slope of the ground changes during each drive."""
-        lengths = rng.uniform(route.shortest, max(route.longest, route.shortest), route.drives)
-        at, drives = round(route.first * rate), []
-        for length in lengths:
-            drives.append((at, at + round(length * rate)))
-            at = drives[-1][1] + round(route.rest * rate)
-        moving, speed = np.zeros(at), np.zeros(at + 1)
-        angles = np.zeros((at + 1, 3))
+        durations = rng.uniform(route.shortest, max(route.longest, route.shortest), route.drives)
+        end_of_path, drives = round(route.first * rate), []
+        for duration in durations:
+            drives.append((end_of_path, end_of_path + round(duration * rate)))
+            end_of_path = drives[-1][1] + round(route.rest * rate)
+        moving, speed = np.zeros(end_of_path), np.zeros(end_of_path + 1)
+        angles = np.zeros((end_of_path + 1, 3))
         angles[:] = rng.normal(0.0, route.tilt, 3) * [1, 1, 0]
         for start, end in drives:
             moving[start:end] = 1.0
             size = end - start + 1
             envelope = _envelope(size, 2.0 * rate)
             slopes = np.stack([_smooth(size, 4.0 * rate, rng) for _ in range(2)], axis=1)
-            ends = rng.normal(0.0, route.tilt, 2) - angles[start, :2]
-            passed = np.linspace(0.0, 1.0, size)[:, None]
-            tilt = route.tilt * slopes * envelope[:, None] + passed**2 * (3.0 - 2.0 * passed) * ends
+            tilt_change = rng.normal(0.0, route.tilt, 2) - angles[start, :2]
+            progress = np.linspace(0.0, 1.0, size)[:, None]
+            tilt = (
+                route.tilt * slopes * envelope[:, None]
+                + progress**2 * (3.0 - 2.0 * progress) * tilt_change
+            )
             yaw = np.cumsum(route.turn * _smooth(size, 2.0 * rate, rng) * envelope) / rate
             angles[start : end + 1, :2] = angles[start, :2] + tilt
             angles[start : end + 1, 2] = angles[start, 2] + yaw
@@ -244,32 +262,38 @@ class _Path(NamedTuple):
             speed[start : end + 1] = route.speed * _smooth(size, 3.0 * rate, rng) * envelope
             speed[end + 1 :] = errors.creep * rng.standard_normal()
         phase = rng.uniform(0.0, 2.0 * math.pi, 2)
-        waves = np.sin(2.0 * math.pi * np.arange(at + 1)[:, None] / (WAVE_S * rate) + phase)
-        angles[:, :2] += errors.waves * waves
+        wave_tilt = np.sin(
+            2.0 * math.pi * np.arange(end_of_path + 1)[:, None] / (WAVE_S * rate) + phase
+        )
+        angles[:, :2] += errors.waves * wave_tilt
         return cls(rate, tuple(drives), moving, angles, speed)
 
 
 def _noise_in_motion(
     path: _Path, white: Floats, errors: MotionErrors, rng: np.random.Generator
 ) -> Floats:
-    """Return the noise that is added in the drives, (n, 6), in rad/s and m/s^2.
+    """Return the noise that motion adds to the noise at rest, (n, 6), in rad/s and m/s^2.
 
     ``white`` is N of the six axes at rest, (6,).
     """
     n = len(path.moving)
-    level = np.zeros((n, 1))
+    vibration_std = np.zeros((n, 1))
     noise = np.zeros((n, 6))
     for start, end in path.drives:
-        level[start:end] = errors.vibration * math.exp(0.5 * rng.standard_normal())
+        vibration_std[start:end] = errors.vibration * math.exp(0.5 * rng.standard_normal())
         if errors.hits:
-            size = round(0.1 * path.rate)
-            at = rng.integers(start, end - size)
-            noise[at : at + size, 3:] += errors.hits * rng.standard_normal(3) / 0.1
-    noise[:, 3:] += level * np.stack([_smooth(n, 10.0, rng) for _ in range(3)], axis=1)
+            hit_samples = round(0.1 * path.rate)
+            hit_start = rng.integers(start, end - hit_samples)
+            noise[hit_start : hit_start + hit_samples, 3:] += (
+                errors.hits * rng.standard_normal(3) / 0.1
+            )
+    noise[:, 3:] += vibration_std * np.stack([_smooth(n, 10.0, rng) for _ in range(3)], axis=1)
     factors = np.repeat([errors.gyro_noise, errors.accel_noise], 3) ** 2 - 1.0
-    squares = path.moving[:, None] * factors
-    squares[:, :3] += (errors.growth * level) ** 2
-    return np.asarray(noise + white * np.sqrt(squares * path.rate) * rng.standard_normal((n, 6)))
+    added_variance = path.moving[:, None] * factors
+    added_variance[:, :3] += (errors.growth * vibration_std) ** 2
+    return np.asarray(
+        noise + white * np.sqrt(added_variance * path.rate) * rng.standard_normal((n, 6))
+    )
 
 
 def _smooth(n: int, width: float, rng: np.random.Generator) -> Floats:
@@ -281,20 +305,23 @@ def _smooth(n: int, width: float, rng: np.random.Generator) -> Floats:
 
 
 def _envelope(n: int, ramp: float) -> Floats:
-    """Return a window, (n,): 0 at both ends, 1 between, and ramps of at most ``ramp`` samples."""
-    at = np.arange(n)
-    x = np.clip(np.minimum(at, n - 1 - at) / max(min(ramp, n / 4.0), 1.0), 0.0, 1.0)
+    """Return a window, (n,), that rises from 0 to 1 and falls to 0, in ``ramp`` samples or less."""
+    index = np.arange(n)
+    x = np.clip(np.minimum(index, n - 1 - index) / max(min(ramp, n / 4.0), 1.0), 0.0, 1.0)
     return np.asarray(x**2 * (3.0 - 2.0 * x))
 
 
 def _first_order(x: Floats, time: float) -> Floats:
-    """Return the response of a first-order system to x, (n,); ``time`` is in samples."""
+    """Return the response of a first-order system to x, (n,).
+
+    ``time`` is the time constant of the system in samples.
+    """
     decay = math.exp(-1.0 / time)
-    out, last = np.empty(len(x)), 0.0
+    response, last = np.empty(len(x)), 0.0
     for i, value in enumerate(x.tolist()):
         last = decay * last + (1.0 - decay) * value
-        out[i] = last
-    return out
+        response[i] = last
+    return response
 
 
 def _from_euler(angles: Floats) -> Floats:
@@ -309,6 +336,9 @@ def _from_euler(angles: Floats) -> Floats:
 def _rotation_vectors(matrices: Floats) -> Floats:
     """Return the rotation vectors, (n, 3), of matrices of small rotations, (n, 3, 3)."""
     skew = (matrices - np.swapaxes(matrices, 1, 2)) / 2.0
-    sine = np.stack([skew[:, 2, 1], skew[:, 0, 2], skew[:, 1, 0]], axis=1)
-    size = np.linalg.norm(sine, axis=1)[:, None]
-    return np.asarray(sine * np.where(size < 1e-8, 1.0, np.arcsin(size) / np.maximum(size, 1e-300)))
+    sine_vector = np.stack([skew[:, 2, 1], skew[:, 0, 2], skew[:, 1, 0]], axis=1)
+    sine_norm = np.linalg.norm(sine_vector, axis=1)[:, None]
+    return np.asarray(
+        sine_vector
+        * np.where(sine_norm < 1e-8, 1.0, np.arcsin(sine_norm) / np.maximum(sine_norm, 1e-300))
+    )

@@ -54,22 +54,24 @@ _frequency = partial(parameter, unit='Hz', low=1e-9)
 _periods = partial(parameter, (), unit='s')
 
 
-ADDED = {one.name: one for one in SEARCHED if not one.is_line}
+ADDED = {kind.name: kind for kind in SEARCHED if not kind.is_line}
 """Name -> class of a noise process that may be added to all axes of a sensor."""
 
 
 def _process_options() -> Iterator[tuple[str, type, Any]]:
-    """Yield name, type and field of each option of a process.
+    """Yield name, type and dataclass field of each option of the processes in `ADDED`.
 
-    The options are a standard deviation for each sensor, and the parameters of the shape.
+    The options of a process are its standard deviation for each sensor, and the parameters of its
+    shape.
     """
-    for name, one in ADDED.items():
-        meaning = f'of an added {one.name.replace("_", " ")} process'
+    for name, process in ADDED.items():
+        meaning = f'of an added {process.name.replace("_", " ")} process'
         yield f'{name}_gyro', float, _gyro(0.0, f'standard deviation {meaning}')
         yield f'{name}_accel', float, _accel(0.0, f'standard deviation {meaning}')
-        for number in one.parameters:
-            what, (option, default) = number.name.replace('_', ' '), DEFAULT_SHAPE[number.unit]
-            yield _option(name, number), float, option(default, f'{what} {meaning}')
+        for number in process.parameters:
+            parameter_name = number.name.replace('_', ' ')
+            option, default = DEFAULT_SHAPE[number.unit]
+            yield _option(name, number), float, option(default, f'{parameter_name} {meaning}')
 
 
 def _option(name: str, number: Parameter) -> str:
@@ -222,8 +224,8 @@ def simulate_imu(
     Raises
     ------
     AllanError
-        When the duration or rate is not positive, the seed is negative, or the samples do not fit
-        into memory.
+        When the duration or the rate is out of range, the seed is negative, or the samples do not
+        fit into memory.
     """
     n, tau0 = samples_in(seconds, rate), 1.0 / rate
     if seed < 0:
@@ -235,31 +237,31 @@ def simulate_imu(
         raise AllanError(
             f'{n:,} samples do not fit into memory: reduce the duration or the rate'
         ) from error
-    for i, (terms, axis_seed) in enumerate(zip((*gyro, *accel), axis_seeds.spawn(len(AXES)))):
-        samples[:, i] = simulate_axis(n, tau0, terms, np.random.default_rng(axis_seed))
+    for i, (model, axis_seed) in enumerate(zip((*gyro, *accel), axis_seeds.spawn(len(AXES)))):
+        samples[:, i] = simulate_axis(n, tau0, model, np.random.default_rng(axis_seed))
     samples += np.asarray(mean, float)
     sample_seed, stamp_seed, loss_seed = fault_seed.spawn(3)
     _disturb_samples(samples, tau0, faults, sample_seed)
     stamps_ns = start_ns + np.round(np.arange(n) * (tau0 * 1e9)).astype(np.int64)
-    kept = np.flatnonzero(~_lost_samples(n, tau0, faults, np.random.default_rng(loss_seed)))
-    stamps_ns = stamps_ns[kept]
+    kept_indices = np.flatnonzero(~_lost_samples(n, tau0, faults, np.random.default_rng(loss_seed)))
+    stamps_ns = stamps_ns[kept_indices]
     if faults.jitter > 0.0:
-        noise = np.random.default_rng(stamp_seed.spawn(1)[0]).standard_normal(len(kept))
+        noise = np.random.default_rng(stamp_seed.spawn(1)[0]).standard_normal(len(kept_indices))
         stamps_ns = stamps_ns + np.round(noise * faults.jitter * 1e9).astype(np.int64)
-    for first in range(0, len(kept), BATCH_SAMPLES):
+    for first in range(0, len(kept_indices), BATCH_SAMPLES):
         rows = slice(first, first + BATCH_SAMPLES)
         header_ns = stamps_ns[rows]
-        yield ImuBatch(header_ns, samples[kept[rows]], header_ns.copy(), frame_id)
+        yield ImuBatch(header_ns, samples[kept_indices[rows]], header_ns.copy(), frame_id)
 
 
 MOTION_FREQUENCIES = (0.31, 0.73, 1.13)
-"""Frequencies in Hz of the sinusoids of a motion. The sum of these sinusoids has a long period."""
+"""Frequencies in Hz of the sinusoids of a simulated motion, whose sum has a long period."""
 
 
 def _disturb_samples(
     samples: Floats, tau0: float, faults: Faults, seed: np.random.SeedSequence
 ) -> None:
-    """Add the faults to the samples, (n, 6), in place."""
+    """Apply the faults that change samples, in place; ``samples`` is (n, 6)."""
     times: Floats = np.arange(len(samples), dtype=np.float64) * tau0
     # one random generator per fault, so that an added fault does not change the others
     rngs = {
@@ -285,21 +287,21 @@ def _disturb_samples(
         angle = 2.0 * np.pi * faults.vibration_frequency * times[:, None]
         samples += amplitudes('vibration') * np.sin(angle + phases)
     if faults.motion:
-        moving = _in_periods(times, faults.motion)
-        drawn = rngs['motion'].uniform(0.0, 2.0 * np.pi, (2, len(MOTION_FREQUENCIES), 3))
-        for frequency, phase in zip(MOTION_FREQUENCIES, np.concatenate(drawn, axis=1)):
-            angle = 2.0 * np.pi * frequency * times[moving, None]
-            share = amplitudes('motion') / len(MOTION_FREQUENCIES)
-            samples[moving] += share * np.sin(angle + phase)
+        is_moving = _in_periods(times, faults.motion)
+        motion_phases = rngs['motion'].uniform(0.0, 2.0 * np.pi, (2, len(MOTION_FREQUENCIES), 3))
+        for frequency, phase in zip(MOTION_FREQUENCIES, np.concatenate(motion_phases, axis=1)):
+            angle = 2.0 * np.pi * frequency * times[is_moving, None]
+            amplitude = amplitudes('motion') / len(MOTION_FREQUENCIES)
+            samples[is_moving] += amplitude * np.sin(angle + phase)
     if faults.low_pass > 0.0:
         pole = np.exp(-2.0 * np.pi * faults.low_pass * tau0)
-        start = samples[0].copy()
-        samples -= start
+        first_sample = samples[0].copy()
+        samples -= first_sample
         samples[:] = _recursion(pole, (1.0 - pole) * samples)
-        samples += start
-    accel = samples[:, SENSORS['accel']]
+        samples += first_sample
+    accel_samples = samples[:, SENSORS['accel']]
     if faults.accel_rate > 0.0:
-        accel[:] = accel[_held_index(len(samples), tau0, faults.accel_rate)]
+        accel_samples[:] = accel_samples[_held_index(len(samples), tau0, faults.accel_rate)]
     for axes, lsb in zip(SENSORS.values(), (faults.lsb_gyro, faults.lsb_accel)):
         if lsb > 0.0:
             samples[:, axes] = np.round(samples[:, axes] / lsb) * lsb
@@ -313,27 +315,33 @@ def _recursion(pole: float, inputs: Floats) -> Floats:
 
 
 def _held_index(n: int, tau0: float, rate: float) -> NDArray[np.int64]:
-    """Return for each of n samples the index of the sample whose value a slower sensor repeats."""
+    """Return for each of n samples the index of the sample whose value it repeats, (n,).
+
+    A sensor with the lower rate ``rate`` in Hz gets a new value at the ticks of its own clock.
+    """
     # Rounding must not hide a tick of the slower clock that coincides with a sample.
     ticks = np.floor(np.arange(n) * tau0 * rate + 1e-9)
-    held = np.minimum(np.ceil(ticks / (tau0 * rate) - 1e-9), np.arange(n))
-    return np.asarray(held, np.int64)
+    repeated_index = np.minimum(np.ceil(ticks / (tau0 * rate) - 1e-9), np.arange(n))
+    return np.asarray(repeated_index, np.int64)
 
 
 def _in_periods(times: Floats, periods: Periods) -> NDArray[np.bool_]:
     """Return whether each time lies in one of the periods, (n,)."""
-    inside = np.zeros(len(times), bool)
+    is_inside = np.zeros(len(times), bool)
     for start, length in periods:
-        inside |= (times >= start) & (times < start + length)
-    return inside
+        is_inside |= (times >= start) & (times < start + length)
+    return is_inside
 
 
 def _lost_samples(
     n: int, tau0: float, faults: Faults, rng: np.random.Generator
 ) -> NDArray[np.bool_]:
-    """Return whether each sample is lost in a gap or at random, (n,); the first is never lost."""
-    lost = _in_periods(np.arange(n, dtype=np.float64) * tau0, faults.gaps)
+    """Return whether each sample is lost in a gap or at random, (n,).
+
+    The first sample is never lost.
+    """
+    is_lost = _in_periods(np.arange(n, dtype=np.float64) * tau0, faults.gaps)
     if faults.drop > 0.0:
-        lost |= rng.random(n) < faults.drop
-    lost[0] = False
-    return lost
+        is_lost |= rng.random(n) < faults.drop
+    is_lost[0] = False
+    return is_lost

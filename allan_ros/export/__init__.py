@@ -37,7 +37,7 @@ __all__ = [
 ]
 
 WITHOUT_PARAMETERS = ('robot_localization', 'fuse')
-"""State estimators that read the covariances of each message."""
+"""State estimators without noise parameters: they read the covariances in each Imu message."""
 
 
 def target_of(name: str) -> Target:
@@ -49,9 +49,13 @@ def target_of(name: str) -> Target:
             'use the target covariance'
         )
     if name not in TARGETS:
-        near = difflib.get_close_matches(name.lower().replace('-', '_'), TARGETS, 1)
-        meant = f'did you mean {near[0]}? Known are' if near else 'choose one of'
-        raise AllanError(f'target {name!r} is unknown: {meant} {", ".join(TARGETS)}')
+        similar_names = difflib.get_close_matches(name.lower().replace('-', '_'), TARGETS, 1)
+        advice = (
+            f'did you mean {similar_names[0]}? The targets are'
+            if similar_names
+            else 'choose one of'
+        )
+        raise AllanError(f'target {name!r} is unknown: {advice} {", ".join(TARGETS)}')
     return TARGETS[name]
 
 
@@ -85,8 +89,9 @@ def make_export(
     """Return the text of a file with the measured noise for a filter or simulator.
 
     ``name`` is one of `TARGETS`, and ``words`` returns the text of a finding for the header. Raises
-    AllanError when the target is unknown, the results lack a number or the factors in motion that
-    the file needs, or the samples are probably not in SI units.
+    AllanError when the target is unknown, or the results lack a number or the factors in motion
+    that the file needs. Unless ``options.force`` is set, also raises AllanError when the samples
+    are probably not in SI units, or the recording does not show the noise of the sensor.
     """
     target = target_of(name)
     noise = FilterNoise(results, options, target)

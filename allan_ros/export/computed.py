@@ -1,11 +1,15 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Rows of targets that have no table of keys: state space, Gazebo, Madgwick filter, temperature.
+"""Rows of targets without a table of keys, such as state space, Gazebo and the Madgwick filter.
 
-The document ``allan_ros/state_space/3`` has for each axis under ``axes``: the levels ``white``,
-``walk`` and ``processes`` in SI, and the matrices of
-`allan_ros.core.filters.state_space.StateSpace` at one rate. A simulator with a single Gauss-Markov
-bias gets the process whose error growth is closest to the model.
+A simulator with a single Gauss-Markov bias gets the process whose error growth is closest to the
+model.
+
+State-space document
+--------------------
+The key ``axes`` of the document ``allan_ros/state_space/3`` contains for each axis the levels
+``white``, ``walk`` and ``processes`` in SI, and the matrices of
+`allan_ros.core.filters.state_space.StateSpace` for one rate.
 """
 
 from __future__ import annotations
@@ -28,11 +32,11 @@ from .target import ANY_NODE, Key, Row
 SCHEMA = 'allan_ros/state_space/3'
 
 MATRIX_DIGITS = 12
-"""Significant digits of the matrices: elements on the diagonal of Phi differ little from 1."""
+"""Significant digits of the matrices; many digits, because the diagonal of Phi is close to 1."""
 
 
 def state_space_rows(noise: FilterNoise) -> Iterator[Row]:
-    """Yield the document with the levels and matrices of each axis."""
+    """Yield the rows of the state-space document: schema, rate, levels and matrices by axis."""
     yield Row(('schema',), SCHEMA)
     yield Row(('rate_hz',), noise.rate)
     step = 1.0 / noise.rate
@@ -66,15 +70,16 @@ def state_space_rows(noise: FilterNoise) -> Iterator[Row]:
 def gazebo_rows(noise: FilterNoise) -> Iterator[Row]:
     """Yield the noise elements of <imu> in SDF.
 
-    In each step, Gazebo adds noise of the variance sigma_b^2 tau/2 (1 - exp(-2 dt/tau)) to the
-    bias: its stationary standard deviation is sigma_b sqrt(tau/2). With 'gaussian_quantized' it
-    rounds samples to multiples of the precision, which adds precision^2/12 to the variance.
+    In each step dt, Gazebo adds noise of the variance sigma_b^2 tau/2 (1 - exp(-2 dt/tau)) to the
+    bias, with sigma_b = dynamic_bias_stddev and tau = dynamic_bias_correlation_time. The stationary
+    standard deviation of the bias is sigma_b sqrt(tau/2). With the type 'gaussian_quantized',
+    Gazebo rounds samples to multiples of the precision, which adds precision^2/12 to the variance.
     """
     for element, sensor in (('angular_velocity', 'gyro'), ('linear_acceleration', 'accel')):
         unit = SI_UNITS[sensor]['B']
         white, bias, time = (
-            noise.row(Key(name, sensor, what, of))
-            for name, what, of in (
+            noise.row(Key(name, sensor, quantity, notation))
+            for name, quantity, notation in (
                 ('stddev', 'N', 'std'),
                 ('dynamic_bias_stddev', 'driving', f'{unit}/sqrt(s)'),
                 ('dynamic_bias_correlation_time', 'tau', 's'),
@@ -102,7 +107,9 @@ def gazebo_rows(noise: FilterNoise) -> Iterator[Row]:
             )
             yield Row((*path, time.key), time.value[i])
             if step:
-                words = f'of {name} [{unit}]: step of the samples; stddev is without its rounding'
+                words = (
+                    f'of {name} [{unit}]: step to which samples are rounded; stddev excludes this'
+                )
                 yield Row((*path, 'precision'), rounded(step), words)
             white_words = bias_words = ''
 
@@ -119,8 +126,8 @@ def madgwick_rows(noise: FilterNoise) -> Iterator[Row]:
     h without quantization and vibration, and of the bias if it is known, because the filter
     estimates no bias without a magnetometer.
 
-    zeta is sqrt(3/4) times the drift per second. This drift is R if every axis has a ramp, else
-    K / sqrt(h), because a random walk moves by K sqrt(h) within h.
+    zeta is sqrt(3/4) times the drift of the bias per second. This drift is R if R is resolved on
+    every axis, else K / sqrt(h), because a random walk moves by K sqrt(h) within h.
     """
     horizon, axes = noise.horizon, noise.axes_of('gyro')
     factors = noise.factors['gyro']
@@ -133,16 +140,20 @@ def madgwick_rows(noise: FilterNoise) -> Iterator[Row]:
             white = n / math.sqrt(horizon)
             return MADGWICK_FACTOR * math.hypot(factors['N'] * white, factors['K'] * drift, bias)
 
-        ends = interval_models(result.fit)
-        low, high = map(gain, ends, white.interval) if ends else (0.0, math.inf)
+        models_at_ends = interval_models(result.fit)
+        low, high = map(gain, models_at_ends, white.interval) if models_at_ends else (0.0, math.inf)
         value = gain(result.fit.model, white.value)
-        known = Estimate(value, (low, high), value, white.estimate.status, name='gain', axis=axis)
-        gains.append(FilterLevel(known))
-    worst = max(gains, key=lambda level: level.value)
+        estimate = Estimate(
+            value, (low, high), value, white.estimate.status, name='gain', axis=axis
+        )
+        gains.append(FilterLevel(estimate))
+    largest_gain = max(gains, key=lambda level: level.value)
     words = f'[rad/s] = sqrt(3/4) times the Allan deviation at h = {horizon:g} s'
     words += f'{" and the bias" if noise.bias else ""}: '
     words += ', '.join(f'{level.estimate.axis} {level.value:.3g}' for level in gains)
-    row = Row((*ANY_NODE, 'gain'), rounded(worst.value), words, 'rad/s', worst.interval)
+    row = Row(
+        (*ANY_NODE, 'gain'), rounded(largest_gain.value), words, 'rad/s', largest_gain.interval
+    )
     yield clamped(row, 0.0, 1.0)
     term, formula, scale = 'R', 'sqrt(3/4) |R|', MADGWICK_FACTOR
     if not all(result.fit.noise['R'].status == 'estimated' for result in axes.values()):
@@ -163,33 +174,54 @@ def covariance_rows(noise: FilterNoise) -> Iterator[Row]:
 
 
 def temperature_rows(noise: FilterNoise) -> Iterator[Row]:
-    """Yield T0, and b0, b1 and b2 of the sensors whose three axes have a model of the bias.
+    """Yield T0 and the coefficients b0, b1 and b2 of sensors with a temperature model of all axes.
 
     b1 and b2 are 0 on axes where the effect of the temperature is not resolved.
     """
     sensors = noise.results.temperature_models
-    complete = {s: models for s, models in sensors.items() if len(models) == len(AXES) / 2}
-    if not complete:
+    complete_models = {s: models for s, models in sensors.items() if len(models) == len(AXES) / 2}
+    if not complete_models:
         raise AllanError(
             'no bias over temperature in these results: record while the temperature rises and '
             'falls by 3 K or more'
         )
-    first = next(iter(next(iter(complete.values())).values()))
-    where = f'{first.lowest:.1f} to {first.highest:.1f} degC'
-    words = f'[degC]: T0 of the model, which was measured from {where}'
-    yield Row(('reference',), first.reference, words, 'degC', (first.lowest, first.highest))
-    for sensor, models in complete.items():
+    first_model = next(iter(next(iter(complete_models.values())).values()))
+    temperature_range = f'{first_model.lowest:.1f} to {first_model.highest:.1f} degC'
+    words = f'[degC]: T0 of the model, which was measured at {temperature_range}'
+    yield Row(
+        ('reference',),
+        first_model.reference,
+        words,
+        'degC',
+        (first_model.lowest, first_model.highest),
+    )
+    for sensor, models in complete_models.items():
         # b0 of an accelerometer is not written, because it contains gravity
-        for i, what in enumerate(('b0', 'b1', 'b2')[sensor == 'accel' :], sensor == 'accel'):
+        for i, coefficient in enumerate(('b0', 'b1', 'b2')[sensor == 'accel' :], sensor == 'accel'):
             unit = SI_UNITS[sensor]['B'] + ('', '/K', '/K^2')[i]
-            pairs = [(getattr(m, what), getattr(m, f'{what}_ci95')) for m in models.values()]
+            values_and_intervals = [
+                (getattr(m, coefficient), getattr(m, f'{coefficient}_ci95'))
+                for m in models.values()
+            ]
             is_written = [not i or model.resolved for model in models.values()]
-            text = (
+            axis_texts = (
                 f'{name} {significant(value, VALUE_DIGITS)}, 95 % interval '
                 f'{significant(low, LIMIT_DIGITS)}..{significant(high, LIMIT_DIGITS)}'
                 f'{"" if is_known else " (not resolved: written as 0)"}'
-                for name, is_known, (value, (low, high)) in zip(models, is_written, pairs)
+                for name, is_known, (value, (low, high)) in zip(
+                    models, is_written, values_and_intervals
+                )
             )
-            values = rounded([value if w else 0.0 for w, (value, _) in zip(is_written, pairs)])
-            widest = max((ends for _, ends in pairs), key=lambda ends: ends[1] - ends[0])
-            yield Row((f'{sensor}_{what}',), values, f'[{unit}]: {"; ".join(text)}', unit, widest)
+            values = rounded(
+                [value if w else 0.0 for w, (value, _) in zip(is_written, values_and_intervals)]
+            )
+            widest_interval = max(
+                (ends for _, ends in values_and_intervals), key=lambda ends: ends[1] - ends[0]
+            )
+            yield Row(
+                (f'{sensor}_{coefficient}',),
+                values,
+                f'[{unit}]: {"; ".join(axis_texts)}',
+                unit,
+                widest_interval,
+            )

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The noise of one IMU in the convention of one target: the rows of its file.
+"""Compute the rows of an exported file: the noise of one IMU in the convention of one target.
 
 Discrete-time noise
 -------------------
@@ -42,25 +42,26 @@ if TYPE_CHECKING:
     from ..results.results import Results
 
 FILE_DIGITS = 6
-"""Significant digits of numbers in a file. Rounding to them is far below any 95 % interval."""
+"""Significant digits of numbers in a file. Rounding errors are far below any 95 % interval."""
 
 REFUSED = ('gyro_unit', 'accel_unit', 'accel_scale', *UNSUITABLE)
 """Ids of findings with which no file is written without `--force`: the samples are not in SI units,
 or the recording does not show the noise of the sensor."""
 
 DEFAULT_TOPIC = '/imu0'
-"""Topic in files of recordings without a topic, as in the examples of Kalibr."""
+"""Topic that is written if the recording has no topic; from the examples of Kalibr."""
 
 
 class Notation(NamedTuple):
-    """A notation of N or K in the file of a filter: (level / factor)^power f^rate_power.
+    """Form of N or K in the file of a filter: the number (level / factor)^power f^rate_power.
 
-    A filter step of 1/f s with the standard deviation s = N sqrt(f) adds (s / f)^2 = N^2/f to the
-    variance of the integral. With K instead of N, it adds K^2/f to the variance of the bias.
+    The level is N or K in SI, and f is the rate of the filter in Hz. For example, a filter may
+    expect the standard deviation s = N sqrt(f) of a sample. In a step of 1/f s, noise of this size
+    adds (s / f)^2 = N^2/f to the variance of the integral.
     """
 
     # templates for the header of a file: {term} is N or K; {density}, {std} and {bias} are the
-    # units of the term, of its standard deviation per sample, and of the bias
+    # units of the term, of the standard deviation per sample, and of the bias
     formula: str
     unit: str
     power: float = 1.0
@@ -99,9 +100,10 @@ def rounded(value: Any, digits: int = FILE_DIGITS) -> Any:
 
 
 def noise_factors(results: Results, options: ExportOptions) -> Mapping[str, Mapping[str, float]]:
-    """Return the factors on N and K for each sensor: sensor -> 'N' or 'K' -> factor.
+    """Return the factors by which N and K are multiplied: sensor -> 'N' or 'K' -> factor.
 
-    With ``options.motion``, these are the factors in motion; a factor below 1 is taken as 1.
+    With ``options.motion``, these are the measured factors in motion, but at least 1. Otherwise,
+    they are the factors in ``options.inflate``.
 
     Raises
     ------
@@ -117,17 +119,20 @@ def noise_factors(results: Results, options: ExportOptions) -> Mapping[str, Mapp
             tuple(f for f in results.findings if f.id == 'motion_not_measured'),
         )
     factors = {sensor: {'N': 1.0, 'K': 1.0} for sensor in SENSORS}
-    for sensor, one in results.motion.sensors.items():
-        factors[sensor] |= {term: max(f.value or 1.0, 1.0) for term, f in one.raised.items()}
+    for sensor, sensor_in_motion in results.motion.sensors.items():
+        factors[sensor] |= {
+            term: max(f.value or 1.0, 1.0) for term, f in sensor_in_motion.raised.items()
+        }
     return factors
 
 
 class FilterNoise:
     """The noise of one IMU in the convention of one target, with one set of options.
 
-    The constructor raises AllanError if the samples are probably not in SI units, or the results
-    have no sample rate. The methods raise AllanError if a sensor that they need is absent, or an
-    axis has neither a value nor a limit.
+    The constructor raises AllanError if the results have no sample rate. Unless ``options.force``
+    is set, it also raises AllanError if a finding in `REFUSED` is present. The methods raise
+    AllanError if a sensor that they need is absent, or if a coefficient that they need has neither
+    a value nor a limit.
 
     Attributes
     ----------
@@ -140,7 +145,7 @@ class FilterNoise:
     factors : mapping of sensor to mapping of term to float
         Factors on N and on the drift (K, R and processes) of 'gyro' and 'accel'.
     used : dict of axis name to Reduction
-        The reduced-order models whose N and K are written to the file.
+        Reduced-order model of each axis whose N and K are written to the file.
     """
 
     def __init__(
@@ -152,12 +157,12 @@ class FilterNoise:
     ) -> None:
         if not 0.0 < results.tau0 < math.inf:
             raise AllanError('these results have no sample rate: record longer, or analyze again')
-        wrong = [each for each in results.findings if each.id in REFUSED]
-        if wrong and not options.force:
+        refused_findings = [each for each in results.findings if each.id in REFUSED]
+        if refused_findings and not options.force:
             raise AllanError(
-                'the numbers are wrong; analyze again after the correction, or give --force to '
+                'the numbers are wrong; correct the cause and analyze again, or give --force to '
                 'write them nevertheless:',
-                (wrong[0],),
+                (refused_findings[0],),
             )
         self.results = results
         self.options = options
@@ -169,7 +174,7 @@ class FilterNoise:
         if options.filter_rate:
             self.rate, self.rate_words = options.filter_rate, 'given as the rate of the filter'
         elif target.rate_hz:
-            self.rate, self.rate_words = rounded(target.rate_hz), "the filter's own step"
+            self.rate, self.rate_words = rounded(target.rate_hz), 'the fixed rate of the filter'
         self.horizon = options.horizon or target.horizon_s
         self.factors = noise_factors(results, options)
         self.used: dict[str, Reduction] = {}
@@ -177,9 +182,9 @@ class FilterNoise:
     def rows(self) -> list[Row]:
         """Return the rows of the file."""
         target = self.target
-        found = [self.row(key) for key in target.keys]
-        found += [Row((*target.parent, key), value) for key, value in target.fixed.items()]
-        return found + list(target.rows(self) if target.rows else ())
+        rows = [self.row(key) for key in target.keys]
+        rows += [Row((*target.parent, key), value) for key, value in target.fixed.items()]
+        return rows + list(target.rows(self) if target.rows else ())
 
     def row(self, key: Key) -> Row:
         """Return the row of one key of the target."""
@@ -201,156 +206,168 @@ class FilterNoise:
         return self._process_row(path, key)
 
     def level_row(self, path: tuple[str, ...], sensor: str, term: str, notation: Notation) -> Row:
-        """Return the row of N, K or R of a sensor: the largest of the axes, or x, y and z."""
+        """Return the row of N, K or R of a sensor.
+
+        Its value is the largest number of the axes or, if the file has three numbers, x, y and z.
+        """
         units, factor = SI_UNITS[sensor], self.factors[sensor]['N' if term == 'N' else 'K']
         levels = [self.level(axis, term) for axis in self.axes_of(sensor)]
         if not self.target.three:
             levels = [max(levels, key=lambda level: level.value)]
-        std = units['B' if term == 'N' else 'R']
-        unit = notation.unit.format(density=units[term], std=std, bias=units['B'])
+        std_unit = units['B' if term == 'N' else 'R']
+        unit = notation.unit.format(density=units[term], std=std_unit, bias=units['B'])
         formula = notation.formula.format(term=term)
         words = (
             f'[{unit}]{f" = {formula}" if formula else ""}: {"; ".join(map(level_words, levels))}'
         )
-        values = [rounded(notation.number(factor * one.value, self.rate)) for one in levels]
-        intervals = (one.interval for one in levels)
-        widest = max(intervals, key=lambda ends: ends[1] / ends[0] if ends[0] else math.inf)
-        low, high = (notation.number(factor * end, self.rate) for end in widest)
+        values = [rounded(notation.number(factor * level.value, self.rate)) for level in levels]
+        intervals = (level.interval for level in levels)
+        widest_interval = max(
+            intervals, key=lambda ends: ends[1] / ends[0] if ends[0] else math.inf
+        )
+        low, high = (notation.number(factor * end, self.rate) for end in widest_interval)
         value = values if self.target.three else values[0]
         return Row(path, value, words, unit, (low, high), tuple(levels))
 
     def level(self, axis: str, term: str) -> FilterLevel:
         """Return the noise level of a term of one axis.
 
-        K, and N if the target models a random walk, are adjusted to the error growth of the
-        complete model, unless `ExportOptions.fidelity` is 'coefficients'.
+        K, and N if the target models a random walk, come from a reduced-order model, which covers
+        the error growth of the complete model. With the fidelity 'coefficients', all terms are as
+        measured.
         """
-        reduces = term == 'K' or (term == 'N' and self.target.walk)
-        if self.options.fidelity == 'coefficients' or not reduces:
+        is_adjusted = term == 'K' or (term == 'N' and self.target.walk)
+        if self.options.fidelity == 'coefficients' or not is_adjusted:
             return axis_level(axis, self.results.axes[axis].fit, term)
         return self.reduction(axis).levels[term]
 
     def _process_row(self, path: tuple[str, ...], key: Key) -> Row:
         """Return the row of sigma, tau or the driving density of the Gauss-Markov bias of x, y, z.
 
-        The process of an axis is the one whose error growth is closest to that caused by the drift
-        of the axis.
+        The Gauss-Markov process of an axis is chosen so that its error growth is closest to the
+        error growth that the drift of the axis causes.
         """
         axes = self.axes_of(key.sensor)
-        common = any(each.what == 'common_tau' for each in self.target.keys)
-        tau = self.common_tau if common else None
-        # axes without a fitted process -> K from which a process is computed
-        walks, pairs = {}, []
+        has_common_tau = any(each.what == 'common_tau' for each in self.target.keys)
+        tau = self.common_tau if has_common_tau else None
+        # axis without a fitted process -> K from which its process is computed
+        walk_levels, sigmas_and_taus = {}, []
         for name, axis in axes.items():
             model = axis.fit.model
             if not any(map(has_time, model.parts)):
                 reduction = self.reduction(name, 'processes')
-                model, walks[name] = reduction.model, reduction.levels['K']
+                model, walk_levels[name] = reduction.model, reduction.levels['K']
             pair = closest_process(model, GaussMarkov, self.horizon, tau, self.target.bound)
-            assert pair is not None  # both sensors drift
-            pairs.append(pair)
-        taus = [pair[1] for pair in pairs]
+            assert pair is not None  # every model here has drift
+            sigmas_and_taus.append(pair)
+        taus = [pair[1] for pair in sigmas_and_taus]
         if key.what == 'tau':
             return Row(path, rounded(taus), '[s]', key.unit)
         factor = self.factors[key.sensor]['K'] / UNITS[key.unit].factor
-        values = [factor * sigma for sigma, _ in pairs]
-        equals = ''
+        values = [factor * sigma for sigma, _ in sigmas_and_taus]
+        formula = ''
         if key.what == 'driving':
-            equals = ' = sigma sqrt(2 / tau)'
+            formula = ' = sigma sqrt(2 / tau)'
             values = [value * math.sqrt(2.0 / one) for value, one in zip(values, taus)]
         si = SI_UNITS[key.sensor]['B']
-        described = '; '.join(
-            f'{name} {significant(s, VALUE_DIGITS)} {si}, {t:.4g} s{_origin(walks.get(name))}'
-            for name, (s, t) in zip(axes, pairs)
+        axis_texts = '; '.join(
+            f'{name} {significant(s, VALUE_DIGITS)} {si}, {t:.4g} s{_origin(walk_levels.get(name))}'
+            for name, (s, t) in zip(axes, sigmas_and_taus)
         )
         words = (
-            f'[{key.unit}]{equals}: sigma and correlation time whose growth '
-            f'{"bounds" if self.target.bound else "follows"} the growth of the model: {described}'
+            f'[{key.unit}]{formula}: sigma and correlation time of the process whose error growth '
+            f'{"bounds" if self.target.bound else "follows"} the growth of the model: {axis_texts}'
         )
-        note = finding('export_no_gauss_markov', tuple(walks), horizons=horizon_text(self.horizon))
+        note = finding(
+            'export_no_gauss_markov', tuple(walk_levels), horizons=horizon_text(self.horizon)
+        )
         return Row(
             path,
             rounded(values),
             words,
             key.unit,
-            levels=tuple(walks.values()),
-            findings=(note,) if walks else (),
+            levels=tuple(walk_levels.values()),
+            findings=(note,) if walk_levels else (),
         )
 
     def axes_of(self, sensor: str) -> Mapping[str, AxisResult]:
-        """Return axis -> result of a sensor; raise AllanError if one of the three is missing."""
+        """Return axis -> result of a sensor; raise AllanError if any of its axes is missing."""
         names = AXES[SENSORS[sensor]]
-        missing = [name for name in names if name not in self.results.axes]
-        if missing:
-            what = sensor if len(missing) == len(names) else ', '.join(missing)
-            raise AllanError(f'no {what} in these results: this file needs gyro and accel')
+        missing_axes = [name for name in names if name not in self.results.axes]
+        if missing_axes:
+            missing_text = sensor if len(missing_axes) == len(names) else ', '.join(missing_axes)
+            raise AllanError(f'no {missing_text} in these results: this file needs gyro and accel')
         return {name: self.results.axes[name] for name in names}
 
     def reduction(self, axis: str, states: States = 'walk') -> Reduction:
-        """Return the reduced-order model of one axis for a filter with these states."""
+        """Return the reduced-order model of one axis for a filter with the given bias states."""
         reduced = reduce_axis(axis, self.results.axes[axis].fit, states, self.horizon)
         if states == 'walk':
             self.used[axis] = reduced
         return reduced
 
     def findings(self) -> list[Finding]:
-        """Return a warning that names the axes whose error growth N and K cannot describe."""
-        poor = {
-            axis: one.ratio[1]
-            for axis, one in self.used.items()
-            if one.poor or any(map(has_time, self.results.axes[axis].fit.model.parts))
+        """Return a warning if N and K cannot describe the error growth of some axes."""
+        poor_ratios = {
+            axis: reduced.ratio[1]
+            for axis, reduced in self.used.items()
+            if reduced.poor or any(map(has_time, self.results.axes[axis].fit.model.parts))
         }
-        if not poor:
+        if not poor_ratios:
             return []
-        horizons, worst = horizon_text(self.horizon), max(poor.values())
-        return [finding('export_two_numbers', tuple(poor), horizons=horizons, ratio=worst)]
+        horizons, largest_ratio = horizon_text(self.horizon), max(poor_ratios.values())
+        return [
+            finding(
+                'export_two_numbers', tuple(poor_ratios), horizons=horizons, ratio=largest_ratio
+            )
+        ]
 
     @cached_property
     def common_tau(self) -> float:
         """Geometric mean in s of the correlation times that describe the drift of all axes."""
         models = [self.reduction(name, 'processes').model for name in self.results.axes]
-        pairs = (closest_process(one, GaussMarkov, self.horizon) for one in models)
-        taus = [pair[1] for pair in pairs if pair]
+        sigmas_and_taus = (closest_process(model, GaussMarkov, self.horizon) for model in models)
+        taus = [pair[1] for pair in sigmas_and_taus if pair]
         return math.exp(sum(math.log(tau) for tau in taus) / len(taus))
 
 
 def has_time(part: Part) -> bool:
-    """Return whether a part is drift with a correlation time, which N and K cannot describe."""
+    """Return whether a part is drift with a correlation time, which differs from N and K."""
     return bool(part.process.parameters) and part.process.is_drift and not part.process.is_line
 
 
 def level_words(level: FilterLevel) -> str:
     """Return the term, axis, value and 95 % interval of a noise level as text, in SI."""
-    known = level.estimate
-    unit = SI_UNITS[sensor_of(known.axis)][known.name]
-    words = f'{known.name} of {known.axis}'
+    estimate = level.estimate
+    unit = SI_UNITS[sensor_of(estimate.axis)][estimate.name]
+    words = f'{estimate.name} of {estimate.axis}'
     if level.is_limit:
         limit = significant(level.raised_from or level.value, LIMIT_DIGITS)
         words += f' not resolved, 95 % upper limit {limit} {unit}'
         return f'{words}, raised to cover the error growth' if level.raised_from else words
     words += f' {significant(level.value, VALUE_DIGITS)} {unit}'
-    if known.ci95 is not None:
-        low, high = (significant(end, VALUE_DIGITS) for end in known.ci95)
+    if estimate.ci95 is not None:
+        low, high = (significant(end, VALUE_DIGITS) for end in estimate.ci95)
         words += f', 95 % interval {low}..{high}'
     elif level.raised_from is None:
         words += ', no 95 % interval'
     if level.raised_from:
-        measured = significant(level.raised_from, VALUE_DIGITS)
-        words += f', raised from {measured} to cover the error growth of the other terms'
+        measured_text = significant(level.raised_from, VALUE_DIGITS)
+        words += f', raised from {measured_text} to cover the error growth of the other terms'
     elif level.raised_from is not None:
         words += ', not resolved, set to cover the error growth of the other terms'
     return words
 
 
 def _origin(walk: FilterLevel | None) -> str:
-    """Return a note if the process is computed from an uncertain K, else ''."""
+    """Return a note about a K that is a limit or has no interval; '' for any other K."""
     if walk is None or not (walk.is_limit or walk.no_interval):
         return ''
     return f' from {"the 95 % upper limit of K" if walk.is_limit else "K without an interval"}'
 
 
 def clamped(row: Row, low: float, high: float) -> Row:
-    """Return the row with its number within [low, high], and a finding if it was outside."""
+    """Return the row with its number limited to [low, high], and a finding if it was outside."""
     value = min(max(row.value, low), high)
     if value == row.value:
         return row

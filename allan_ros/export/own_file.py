@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Compares the drift that a filter expects with the user's own file with the measured drift."""
+"""Compare the measured drift with the drift that a filter expects from the user's own file."""
 
 from __future__ import annotations
 
@@ -24,19 +24,19 @@ AFTER_S = (1.0, 10.0, 60.0)
 """Times in s after the last correction at which the drift is compared."""
 
 SHOWN_UNITS = {'gyro': (DEGREE, 'deg'), 'accel': (1.0, 'm/s')}
-"""Sensor -> SI value and name of the unit of its drift."""
+"""Sensor -> SI value and name of the unit in which its drift is shown."""
 
 SHOWN_DIGITS = 2
-"""Significant digits of a drift."""
+"""Significant digits of a drift in a text."""
 
 ROUNDING_TOLERANCE = 0.01
-"""Largest relative difference that the rounding of the numbers in a file explains."""
+"""Largest relative difference of two drifts that can be due to rounded numbers in a file."""
 
 SMALLEST_STD, LARGEST_STD = 1e-30, 1e15
-"""Range of plausible numbers in a file, in any unit; their squares are finite."""
+"""Range of accepted numbers in a file, in any unit. The square of an accepted number is finite."""
 
 COMMENT_PATTERN = re.compile(r'(?m)^\s*(?:#|//).*|(?s:/\*.*?\*/)|"[^"\n]* [^"\n]*"')
-"""Comments of YAML, Python and JSON, and strings with a space."""
+"""Pattern of comments in YAML, Python and JSON, and of quoted strings that contain a space."""
 
 NUMBER_PATTERN = r'[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?'
 
@@ -44,7 +44,7 @@ EXAMPLE_TARGETS = 'kalibr, openvins or px4'
 
 
 class Drift(NamedTuple):
-    """Standard deviation of the angle (rad) or velocity (m/s) of one axis without correction."""
+    """Standard deviation of the angle (rad) or velocity (m/s) error of one axis."""
 
     axis: str
     after: float  # time since the last correction in s
@@ -54,24 +54,24 @@ class Drift(NamedTuple):
 
     @property
     def ratio(self) -> float:
-        """Measured drift / drift that the file expects; infinite if the file expects none."""
+        """Measured drift divided by the drift that the file expects; infinite if this is 0."""
         return self.measured / self.file if self.file else math.inf
 
     @property
     def overconfident(self) -> bool:
-        """Whether the file expects a drift below the 95 % interval of the measured drift.
+        """Whether the drift that the file expects is below the 95 % interval of the measured drift.
 
-        Without an interval, whether the file expects a drift below the measured drift.
+        If there is no interval, whether the expected drift lies below the measured drift.
         """
         return self.file < (self.ci95[0] if self.ci95 else self.measured)
 
     def __str__(self) -> str:
         factor, unit = SHOWN_UNITS[sensor_of(self.axis)]
-        file, measured, *ends = (
+        file, measured, *interval_ends = (
             f'{significant(x / factor, SHOWN_DIGITS)}'
             for x in (self.file, self.measured, *(self.ci95 or ()))
         )
-        interval = f' ({"..".join(ends)})' if ends else ''
+        interval = f' ({"..".join(interval_ends)})' if interval_ends else ''
         text = f'{self.axis} after {self.after:g} s: your file {file} {unit}, measured {measured}'
         return f'{text}{interval} {unit}, {significant(self.ratio, SHOWN_DIGITS)} times'
 
@@ -86,13 +86,13 @@ def against(
     results : Results
         The measured IMU.
     target : Target
-        The target whose file it is.
+        The target to which the user's file belongs.
     text : str
         Text of the user's file, in the format and with the keys that `make_export` writes; other
         keys are ignored.
     options : ExportOptions
-        The rate of the filter and the horizon. The bias is assumed to be averaged over the horizon
-        before the last correction.
+        The rate of the filter and the horizon. It is assumed that the bias was averaged over a time
+        of this length before the last correction.
 
     Raises
     ------
@@ -101,82 +101,90 @@ def against(
     """
     noise = FilterNoise(results, options, target)
     window = noise.horizon
-    found = []
+    drifts = []
     for axis, model in file_models(target, text, noise.rate).items():
         if axis not in results.axes:
             continue
-        grown = predicted_growth(model, AFTER_S, window)
+        expected_drifts = predicted_growth(model, AFTER_S, window)
         for expected, growth in zip(
-            grown, growth_table(results.axes[axis].fit, horizons=AFTER_S, window=window)
+            expected_drifts, growth_table(results.axes[axis].fit, horizons=AFTER_S, window=window)
         ):
-            size, ends = growth.std.value or 0.0, growth.std.ci95
-            found.append(Drift(axis, growth.horizon, float(expected), size, ends))
-    return tuple(found)
+            std, ci95 = growth.std.value or 0.0, growth.std.ci95
+            drifts.append(Drift(axis, growth.horizon, float(expected), std, ci95))
+    return tuple(drifts)
 
 
 def verdicts(drifts: tuple[Drift, ...]) -> list[str]:
     """Return a sentence for each sensor about the axis and time with the largest ratio."""
     lines = []
-    for sensor in dict.fromkeys(sensor_of(one.axis) for one in drifts):
-        worst = max((d for d in drifts if sensor_of(d.axis) == sensor), key=lambda d: d.ratio)
-        factor = significant(max(worst.ratio, 1.0 / worst.ratio), SHOWN_DIGITS)
-        said = f'your file covers the measured drift, by {factor} or more'
-        if worst.ratio > 1.0 + ROUNDING_TOLERANCE:
-            said = f'a filter with your file is overconfident by {factor}'
-            if not worst.overconfident:
-                said = f'your file expects {factor} times less than the measured drift, but lies '
-                said += 'within its interval'
-        lines.append(f'{sensor}: {said} ({worst.axis} after {worst.after:g} s)')
+    for sensor in dict.fromkeys(sensor_of(drift.axis) for drift in drifts):
+        worst_drift = max((d for d in drifts if sensor_of(d.axis) == sensor), key=lambda d: d.ratio)
+        factor = significant(max(worst_drift.ratio, 1.0 / worst_drift.ratio), SHOWN_DIGITS)
+        sentence = f'your file covers the measured drift by a factor of {factor} or more'
+        if worst_drift.ratio > 1.0 + ROUNDING_TOLERANCE:
+            sentence = f'a filter with your file is overconfident by a factor of {factor}'
+            if not worst_drift.overconfident:
+                sentence = f'your file expects a drift {factor} times below the measured drift, '
+                sentence += 'but within the 95 % interval'
+        lines.append(f'{sensor}: {sentence} ({worst_drift.axis} after {worst_drift.after:g} s)')
     return lines
 
 
 def file_models(target: Target, text: str, rate: float) -> Mapping[str, Model]:
     """Return axis -> noise model that a filter assumes with the numbers in the text of its file.
 
-    ``rate`` is the rate of the filter in Hz. Raises AllanError as `against` does.
+    ``rate`` is the rate of the filter in Hz. Raises AllanError under the conditions of `against`.
     """
-    whats = {key.what for key in target.keys}
-    if not whats & {'K', 'sigma'}:
+    quantities = {key.what for key in target.keys}
+    if not quantities & {'K', 'sigma'}:
         raise AllanError(
             f'{target.file_name} has no noise model to compare: give --to for a filter with N and '
             f'the drift of the bias in its file, such as {EXAMPLE_TARGETS}'
         )
-    plain = COMMENT_PATTERN.sub('', text)
+    text_without_comments = COMMENT_PATTERN.sub('', text)
     values: dict[tuple[str, str], list[float]] = {}
     for key in target.keys:
         if key.what in ('rate', 'topic'):
             continue
-        numbers = _si(key, _numbers(plain, key), rate)
+        numbers = _si(key, _numbers(text_without_comments, key), rate)
         for sensor in SENSORS if key.sensor == '-' else (key.sensor,):
             values.setdefault((sensor, key.what), numbers)
     models = {}
     for sensor, place in SENSORS.items():
         for i, axis in enumerate(AXES[place]):
-            one = {w: v[i % len(v)] for (s, w), v in values.items() if s == sensor}
-            bias = [(one['sigma'], GaussMarkov(one['common_tau']))] if 'sigma' in one else []
-            models[axis] = Model.of(*bias, N=one['N'], K=one.get('K', 0.0))
+            axis_values = {what: v[i % len(v)] for (s, what), v in values.items() if s == sensor}
+            bias = (
+                [(axis_values['sigma'], GaussMarkov(axis_values['common_tau']))]
+                if 'sigma' in axis_values
+                else []
+            )
+            models[axis] = Model.of(*bias, N=axis_values['N'], K=axis_values.get('K', 0.0))
     return models
 
 
-def _numbers(plain: str, key: Key) -> list[float]:
+def _numbers(text_without_comments: str, key: Key) -> list[float]:
     """Return the one or three numbers of a key in a text without comments."""
     name = key.name
-    known = re.escape(name)
-    values = re.findall(
-        rf'(?<![\w.]){known}["\']?\s*[:=,\s]\s*(\[[^\]]*\]|{NUMBER_PATTERN})', plain
+    key_pattern = re.escape(name)
+    value_texts = re.findall(
+        rf'(?<![\w.]){key_pattern}["\']?\s*[:=,\s]\s*(\[[^\]]*\]|{NUMBER_PATTERN})',
+        text_without_comments,
     )
     numbers = [
-        [float(n) for n in re.findall(NUMBER_PATTERN, value)] for value in dict.fromkeys(values)
+        [float(n) for n in re.findall(NUMBER_PATTERN, value)]
+        for value in dict.fromkeys(value_texts)
     ]
     if len(numbers) != 1 or len(numbers[0]) not in (1, 3):
-        what = 'contains no number' if not numbers else 'contains several values'
+        problem = 'contains no number' if not numbers else 'contains several values'
         raise AllanError(
-            f'your file {what} of {name}: give the file of the filter that --to names, with one IMU'
+            f'your file {problem} of {name}: give the file of the filter that --to names, '
+            'with one IMU'
         )
     least = 0.0 if key.what == 'K' else SMALLEST_STD
     if not all(least <= value <= LARGEST_STD for value in numbers[0]):
         raise AllanError(
-            f'{name} of your file is {values[0]}: give a number from {least:g} to {LARGEST_STD:g}'
+            f'{name} of your file is {value_texts[0]}: give a number from {least:g} to '
+            f'{LARGEST_STD:g}'
         )
     return numbers[0]
 

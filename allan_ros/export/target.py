@@ -20,7 +20,7 @@ VIO_HORIZON_S = 30.0
 """Longest time in s for which a filter integrates between corrections by a camera or lidar."""
 
 INS_HORIZON_S = 100.0
-"""Longest time in s for which a filter integrates between corrections by GNSS, with outages."""
+"""Longest time in s for which a filter integrates between corrections by GNSS with outages."""
 
 SIMULATOR_HORIZON_S = 1000.0
 """Time in s up to which a simulated sensor should drift like the real one."""
@@ -34,12 +34,13 @@ Value = Any
 
 @dataclass(frozen=True)
 class ExportOptions(CheckedSettings):
-    """Options of a file for a filter."""
+    """Options of the user for an exported file."""
 
     inflate: str = parameter(
         '1',
-        'Factor on every noise level, for vibration and model errors that add to the noise at '
-        'rest; or one for each sensor, such as gyro=2,accel=3. `allan inflate` measures it.',
+        'Factor by which every noise level is multiplied, because vibration and model errors add '
+        'to the noise at rest; or one factor for each sensor, such as gyro=2,accel=3. '
+        '`allan inflate` measures these factors.',
     )
     motion: bool = parameter(
         False,
@@ -56,14 +57,15 @@ class ExportOptions(CheckedSettings):
     )
     fidelity: str = parameter(
         'reduction',
-        'N and K of the file: a reduction, in which K is raised until the predicted error growth '
-        'covers the complete model, or the coefficients as measured.',
+        'Which N and K are written. With reduction, K is raised until the predicted error growth '
+        'covers the complete model; coefficients are N and K as measured.',
         choices=('reduction', 'coefficients'),
     )
     horizon: float = parameter(
         0.0,
-        'Longest time that the filter integrates without correction, over which the reduction '
-        'holds; 0: the default of the target (30 s for cameras and lidars, 100 s for GNSS).',
+        'Longest time that the filter integrates without a correction. Up to this time, the '
+        'reduction covers the complete model. 0: the default of the target (30 s for cameras and '
+        'lidars, 100 s for GNSS).',
         unit='s',
         low=0.0,
         high=1e6,
@@ -78,7 +80,7 @@ class ExportOptions(CheckedSettings):
     )
 
     def __post_init__(self) -> None:
-        text = self.inflate  # Python also accepts a number, or sensor -> number
+        text = self.inflate  # in Python, also a number or a mapping of sensor to number
         if isinstance(text, Mapping):
             text = ','.join(f'{sensor}={factor}' for sensor, factor in text.items())
         elif isinstance(text, Real) and not isinstance(text, bool):
@@ -86,24 +88,24 @@ class ExportOptions(CheckedSettings):
         object.__setattr__(self, 'inflate', text)
         super().__post_init__()
         if set(self.factors.values()) != {1.0} and self.motion:
-            raise AllanError('inflate and motion are two factors on the same noise: give one')
+            raise AllanError('inflate and motion both multiply the noise: give only one of them')
 
     @property
     def factors(self) -> dict[str, float]:
-        """Sensor -> factor on its noise levels, from ``inflate``."""
-        parts = [part.strip() for part in self.inflate.split(',')]
-        if len(parts) == 1 and '=' not in parts[0]:
-            return dict.fromkeys(SENSORS, _factor(parts[0]))
-        found = dict.fromkeys(SENSORS, 1.0)
-        for part in parts:
-            sensor, sign, number = part.partition('=')
+        """Sensor -> factor by which its noise levels are multiplied, according to ``inflate``."""
+        assignments = [assignment.strip() for assignment in self.inflate.split(',')]
+        if len(assignments) == 1 and '=' not in assignments[0]:
+            return dict.fromkeys(SENSORS, _factor(assignments[0]))
+        factors = dict.fromkeys(SENSORS, 1.0)
+        for assignment in assignments:
+            sensor, sign, number = assignment.partition('=')
             if not sign or sensor.strip() not in SENSORS:
                 raise AllanError(
                     f'inflate is {one_line(self.inflate):.60}: write a factor such as 2, or one '
                     'for each sensor: gyro=2,accel=3'
                 )
-            found[sensor.strip()] = _factor(number)
-        return found
+            factors[sensor.strip()] = _factor(number)
+        return factors
 
 
 def _factor(text: str) -> float:
@@ -119,11 +121,12 @@ class Key(NamedTuple):
     """One key of a file and the quantity that is written there."""
 
     name: str
-    sensor: str  # 'gyro' or 'accel'; '-' for both, where N or K is the larger of the two
+    # 'gyro' or 'accel'; '-' for both sensors: N or K is then the larger number of the two sensors
+    sensor: str
     # 'N' or 'K'; 'sigma', 'tau' or 'driving' (density sigma sqrt(2/tau)) of the Gauss-Markov bias;
     # 'common_tau': correlation time of all axes, in h; 'rate'; 'topic'
     what: str
-    unit: str = ''  # one of `filter_noise.NOTATIONS`, or a unit
+    unit: str = ''  # a name in `filter_noise.NOTATIONS`, or a unit of measurement
     limits: tuple[float, float] | None = None  # range of numbers that the filter accepts
 
 
@@ -135,10 +138,11 @@ class Row:
     value: Value
     words: str = ''  # formula, axis and interval of the number as text; '' if it is not measured
     unit: str = ''  # '' if it is not measured
-    # 95 % interval of the number in the unit of the file: (0, number) for an upper limit, (0, inf)
-    # if the interval is unknown, and the widest of the intervals of three numbers
+    # 95 % interval of the number, in the unit of the file: (0, number) if the number is an upper
+    # limit, (0, inf) if the interval is unknown. If the row has numbers for x, y and z, this is the
+    # widest of their three intervals
     interval: tuple[float, float] = (0.0, math.inf)
-    levels: tuple[FilterLevel, ...] = ()  # measured noise levels that the number is computed from
+    levels: tuple[FilterLevel, ...] = ()  # measured noise levels from which the number is computed
     findings: tuple[Finding, ...] = ()  # information for the user of the file
 
     @property
@@ -154,7 +158,7 @@ class Row:
 
     @property
     def values(self) -> tuple[float, ...]:
-        """The numbers: one, or three for x, y and z."""
+        """The value as a tuple: one number, or three numbers for x, y and z."""
         return tuple(self.value) if isinstance(self.value, list) else (self.value,)
 
     @property
@@ -175,31 +179,39 @@ class Row:
 
 
 def keys_of(table: str) -> tuple[Key, ...]:
-    """Return the keys of a table with a line ``name sensor what [unit [low..high]]`` for each.
+    """Return the keys that a table lists, one for each line.
 
-    These are the attributes of `Key`; the default unit is 'density'.
+    A line is ``name sensor what [unit [low..high]]``: the attributes of a `Key`, of which the last
+    one is ``limits``. The default unit is 'density'.
     """
-    found = []
+    keys = []
     for line in table.strip().splitlines():
-        name, sensor, what, *rest = line.split()
-        unit = rest[0] if rest else 'density'
-        low, high = map(float, rest[1].split('..')) if len(rest) > 1 else (0.0, 0.0)
-        found.append(Key(name, sensor, what, unit, (low, high) if high else None))
-    return tuple(found)
+        name, sensor, what, *optional_fields = line.split()
+        unit = optional_fields[0] if optional_fields else 'density'
+        low, high = (
+            map(float, optional_fields[1].split('..')) if len(optional_fields) > 1 else (0.0, 0.0)
+        )
+        keys.append(Key(name, sensor, what, unit, (low, high) if high else None))
+    return tuple(keys)
 
 
 def noise_keys(names: str, unit: str = 'density') -> tuple[Key, ...]:
-    """Return four keys, with ``names`` separated by spaces: gyro N, accel N, gyro K, accel K."""
-    whats = ('gyro N', 'accel N', 'gyro K', 'accel K')
-    return keys_of('\n'.join(f'{name} {what} {unit}' for name, what in zip(names.split(), whats)))
+    """Return the keys for gyro N, accelerometer N, gyro K and accelerometer K.
+
+    ``names`` are the names of these four keys, separated by spaces. ``unit`` is `Key.unit`.
+    """
+    quantities = ('gyro N', 'accel N', 'gyro K', 'accel K')
+    return keys_of(
+        '\n'.join(f'{name} {quantity} {unit}' for name, quantity in zip(names.split(), quantities))
+    )
 
 
-RAISED = 'Raised numbers cover B and correlated noise, for which such a filter has no states.'
+RAISED = 'Raised numbers cover B and correlated noise, for which the filter has no states.'
 """Explanation of numbers that are larger than the coefficients as measured."""
 
 
 def origin_text(level: FilterLevel) -> str:
-    """Return in words how a number for a filter differs from the coefficient as measured."""
+    """Return a text about how a number for a filter differs from the coefficient as measured."""
     name = f'{level.estimate.name} of {level.estimate.axis.replace("_", " ")}'
     if level.raised_from == 0.0:
         return f'{name} is not resolved: set to cover the error growth'
@@ -223,13 +235,13 @@ class Target:
     convention: str  # meaning of the numbers, and the source file of the target that shows it
     form: Form
     keys: tuple[Key, ...] = ()  # the keys of the file
-    parent: tuple[str, ...] = ()  # the mappings that contain the keys
+    parent: tuple[str, ...] = ()  # keys of the nested mappings that contain the keys of the file
     fixed: Mapping[str, Value] = field(default_factory=dict)  # required keys that are not measured
     notes: tuple[str, ...] = ()  # further information for the user of this file
     # yields the rows of a file that is too complex for a table, given a `FilterNoise`
     rows: Callable[[Any], Iterable[Row]] | None = None
-    three: bool = False  # whether the file has numbers for x, y and z; else it has the largest
-    rate_hz: float | None = None  # fixed rate of the filter; None if it steps with the samples
+    three: bool = False  # whether the file has numbers for x, y and z; else only the largest one
+    rate_hz: float | None = None  # fixed rate of the filter in Hz; None if it is the sample rate
     horizon_s: float = VIO_HORIZON_S  # default of `ExportOptions.horizon` in s
     # whether the target models the bias as a random walk; N and K are then adjusted together
     walk: bool = True

@@ -49,7 +49,7 @@ OPENVINS_NOT_MEASURED: dict[str, Value] = {
     'R_IMUtoACC': np.eye(3).tolist(),
     'Tg': [[0.0] * 3] * 3,
 }
-"""Required keys that are not measured, with the values of an IMU without such errors."""
+"""Keys that OpenVINS requires but that are not measured, with the values of an ideal IMU."""
 
 GTSAM_CODE = '''
 # Error of the numerical integration, not of the IMU; the default is the identity.
@@ -87,8 +87,9 @@ def models(gyro_bias_sd, accel_bias_sd):
 '''
 
 FLOOR_NOTE = (
-    'this is the noise at rest, a lower limit: propellers, vibration and clipping add to it, and '
-    'the defaults of the autopilot include them; use lower values only after checking the logs'
+    'these numbers are the noise at rest, a lower limit: propellers, vibration and clipping add '
+    'noise, which the defaults of the autopilot include; check the logs before you use numbers '
+    'below the defaults'
 )
 
 TARGETS = {
@@ -103,21 +104,22 @@ TARGETS = {
     'openvins': Target(
         'OpenVINS kalibr_imu_chain.yaml: continuous densities N and K',
         'kalibr_imu_chain.yaml',
-        'continuous time; OpenVINS makes them discrete with its time steps '
+        'continuous time; OpenVINS makes N and K discrete with its time steps '
         '(ov_msckf/src/state/Propagator.cpp)',
         opencv_form,
         KALIBR_KEYS,
         parent=('imu0',),
         fixed=OPENVINS_NOT_MEASURED,
         notes=(
-            'T_i_b, time_offset, model, Tw, Ta, Tg and the rotations are not measured here: '
-            'identity unless your file has them',
+            'T_i_b, time_offset, model, Tw, Ta, Tg and the rotations are not measured here: keep '
+            'the values of your file if it has them',
         ),
     ),
     # The midpoint rule averages two samples and assumes independent noise in each: V noise V' adds
     # gyr_n^2 dt^2 / 2 to the variance of the angle, although white noise adds N^2 dt. The customary
-    # N sqrt(f) thus propagates half of the variance; N sqrt(2f) propagates all of it. The bias
-    # block of V is dt, so K^2 dt needs gyr_w = K sqrt(f).
+    # N sqrt(f) thus propagates half of the variance; N sqrt(2f) propagates all of it. The block of
+    # V for the bias is dt. A random walk adds K^2 dt to the variance of the bias, which needs gyr_w
+    # = K sqrt(f).
     'vins_fusion': Target(
         'VINS-Mono and VINS-Fusion: std per sample, N sqrt(f) and K sqrt(f)',
         'vins_fusion_imu.yaml',
@@ -137,8 +139,9 @@ TARGETS = {
     'orb_slam3': Target(
         'ORB-SLAM3 settings: continuous densities N and K, and the rate',
         'orb_slam3_imu.yaml',
-        'continuous time; ORB-SLAM3 multiplies the noises by sqrt(IMU.Frequency) and divides '
-        'the walks by it (src/Tracking.cc); it reads real numbers (src/Settings.cc)',
+        'continuous time; ORB-SLAM3 multiplies the noises by sqrt(IMU.Frequency) and divides the '
+        'walks by sqrt(IMU.Frequency) (src/Tracking.cc); all numbers must be written as real '
+        'numbers (src/Settings.cc)',
         opencv_form,
         (
             *noise_keys('IMU.NoiseGyro IMU.NoiseAcc IMU.GyroWalk IMU.AccWalk'),
@@ -148,8 +151,8 @@ TARGETS = {
     'lio_sam': Target(
         'LIO-SAM ROS 2 parameters: continuous densities N and K',
         'lio_sam_imu.yaml',
-        'continuous time, squared for GTSAM; the walks become the noise of the factor between '
-        'two biases, times the root of the time between (src/imuPreintegration.cpp)',
+        'continuous time, squared for GTSAM; the noise of the factor between two biases is the '
+        'walk times the root of the time between them (src/imuPreintegration.cpp)',
         yaml_form,
         noise_keys('imuGyrNoise imuAccNoise imuGyrBiasN imuAccBiasN'),
         parent=ANY_NODE,
@@ -164,7 +167,7 @@ TARGETS = {
         parent=(*ANY_NODE, 'mapping'),
         notes=(
             'the defaults of FAST-LIO (0.1 and 0.0001) are tuned and far above any noise at rest; '
-            'approach them in steps with --inflate',
+            'if these numbers are too small, increase them towards the defaults with --inflate',
         ),
     ),
     'fast_livo2': Target(
@@ -199,7 +202,8 @@ TARGETS = {
         ),
         parent=('mapping',),
         notes=(
-            'acc_cov_output and gyr_cov_output are motion of the robot, not measured here',
+            'acc_cov_output and gyr_cov_output describe the motion of the robot, which is not '
+            'measured here',
             'the defaults (0.1 and 0.0001) are tuned and far above any noise at rest',
         ),
     ),
@@ -219,7 +223,7 @@ TARGETS = {
         notes=(
             'f is the rate of the scans: give --filter-rate if it is not 10 Hz',
             'imu_bias_noise is one number for gyro and accelerometer: the larger one',
-            'copy the numbers into your config_sensors.json, beside T_lidar_imu',
+            'copy the numbers into your config_sensors.json, which also contains T_lidar_imu',
         ),
         rate_hz=10.0,
     ),
@@ -260,7 +264,7 @@ TARGETS = {
         gyro_bias_std    gyro   K
         """),
         parent=('value0',),
-        notes=('merge it into your calibration: the cameras are in the same file',),
+        notes=('copy the numbers into your calibration file, which also contains the cameras',),
         three=True,
     ),
     'msckf_vio': Target(
@@ -271,11 +275,12 @@ TARGETS = {
         noise_keys('gyro acc gyro_bias acc_bias'),
         parent=('noise',),
         notes=(
-            'load it in the node: <rosparam command="load" file="..."/>, after its other noise',
+            'load this file in the node, after its other noise parameters: '
+            '<rosparam command="load" file="..."/>',
         ),
     ),
     # EKF2 and EK3 add (dt noise)^2 to the variance of angle and velocity, and (dt bias_noise)^2 to
-    # the variance of the bias. dt is the step of the filter, to which the samples are averaged.
+    # the variance of the bias. dt is the step of the filter, over which the samples are averaged.
     'px4': Target(
         'PX4 EKF2 parameters: std per EKF step, within their ranges',
         'px4_imu.params',
@@ -347,8 +352,9 @@ TARGETS = {
     'imu_filter_madgwick': Target(
         'imu_filter_madgwick ROS 2 parameters: gain and zeta at a horizon',
         'imu_filter_madgwick.yaml',
-        "Madgwick's beta (rad/s) and zeta (rad/s^2): sqrt(3/4) times the error and the drift "
-        'of the gyro (imu_filter_madgwick/src/imu_filter.cpp; ranges of imu_filter_ros.cpp)',
+        "gain is Madgwick's beta (rad/s): sqrt(3/4) times the error of the gyro; zeta (rad/s^2): "
+        'sqrt(3/4) times the drift of the gyro per second (imu_filter_madgwick/src/imu_filter.cpp; '
+        'ranges of imu_filter_ros.cpp)',
         yaml_form,
         rows=madgwick_rows,
         notes=(
@@ -383,9 +389,9 @@ TARGETS = {
         yaml_form,
         rows=temperature_rows,
         notes=(
-            'the noise remains: N and K are in the file of the filter',
+            'the noise remains after the correction: export N and K to the file of the filter',
             'b0 is the mean of this recording; it contains the rotation of the Earth and differs '
-            'after each switch-on. The level of an accelerometer contains gravity and is not here',
+            'after each switch-on; b0 of an accelerometer would contain gravity and is not written',
         ),
         three=True,
         walk=False,
@@ -400,8 +406,9 @@ TARGETS = {
         rows=state_space_rows,
         notes=(
             'walk is a state even if it is 0: it represents the turn-on bias',
-            'walk covers a ramp and slow sinusoids over the horizon, because they have no '
-            'states; if K is not resolved, it contains 15 % of the expected K^2',
+            'walk covers a ramp and slow sinusoids over the horizon, because they have no states; '
+            'if K is not resolved, walk contains the estimate of K, or the upper limit of K if the '
+            'model has no other drift',
         ),
         three=True,
         horizon_s=INS_HORIZON_S,
@@ -410,12 +417,12 @@ TARGETS = {
     'gazebo': Target(
         'Gazebo SDF <imu>: std per sample and a Gauss-Markov bias, of each axis',
         'gazebo_imu.sdf',
-        'standard deviation per sample, and a Gauss-Markov bias of the driving density '
+        'standard deviation per sample, and a Gauss-Markov bias with the driving density '
         'dynamic_bias_stddev (gz-sensors, src/GaussianNoiseModel.cc)',
         xml_form,
         rows=gazebo_rows,
         notes=(
-            'put it into <sensor type="imu">; f must be its update_rate',
+            'put this element into <sensor type="imu">; f must be the update_rate of this sensor',
             'bias_stddev (turn-on bias) needs results of several recordings; precision is written '
             'where rounding causes more than a tenth of the white noise',
         ),

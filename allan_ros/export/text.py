@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Writes the header comment of a file, and the file in its format."""
+"""Write the header comment of an exported file, and the file in its format."""
 
 from __future__ import annotations
 
@@ -43,9 +43,9 @@ def header_lines(
     the name of the target, and ``words`` returns the text of a finding.
     """
     results, target = noise.results, noise.target
-    limits = dict.fromkeys(row.key for row in rows if row.is_limit)
-    unsure = dict.fromkeys(row.key for row in rows if row.no_interval)
-    first = (*REFUSED, 'from_datasheet')
+    limit_keys = dict.fromkeys(row.key for row in rows if row.is_limit)
+    keys_without_interval = dict.fromkeys(row.key for row in rows if row.no_interval)
+    first_ids = (*REFUSED, 'from_datasheet')
     subject = 'Bias of an IMU over' if name == 'temperature' else 'IMU noise for'
     start = results.provenance.start
     title = [
@@ -62,7 +62,7 @@ def header_lines(
         ]
     axes = 'one number for each of x, y, z' if target.three else 'the largest number of x, y, z'
     lines = [
-        *(f'warning: {words(note)}' for note in results.findings if note.id in first),
+        *(f'warning: {words(note)}' for note in results.findings if note.id in first_ids),
         *title,
         f'convention: {target.convention}',
         f'rate: f = {noise.rate:g} Hz, {noise.rate_words}',
@@ -71,16 +71,20 @@ def header_lines(
     if noise.options.fidelity == 'coefficients':
         lines.append('fidelity: N and K as measured; they underestimate flicker and drift')
     elif noise.used:
-        lows, highs = zip(*(one.ratio for one in noise.used.values()))
+        smallest_ratios, largest_ratios = zip(*(reduced.ratio for reduced in noise.used.values()))
         lines.append(
             'reduction: N and K bound the error growth of the complete model over '
-            f'{horizon_text(noise.horizon)}; predicted over model growth {min(lows):.2f} to '
-            f'{max(highs):.2f}'
+            f'{horizon_text(noise.horizon)}: they predict {min(smallest_ratios):.2f} to '
+            f'{max(largest_ratios):.2f} times this growth'
         )
     lines += [
         *(f'{row.key} {row.words}' for row in rows if row.words),
-        f'upper limits instead of measurements: {", ".join(limits) or "none"}',
-        *([f'values without a 95 % interval: {", ".join(unsure)}'] if unsure else []),
+        f'upper limits instead of measurements: {", ".join(limit_keys) or "none"}',
+        *(
+            [f'values without a 95 % interval: {", ".join(keys_without_interval)}']
+            if keys_without_interval
+            else []
+        ),
         *(f'note: {note}' for note in target.notes),
         *(
             f'note: {words(note)}'
@@ -92,7 +96,7 @@ def header_lines(
         *(
             f'warning: {words(note)}'
             for note in results.findings
-            if note.severity != 'info' and note.id not in first
+            if note.severity != 'info' and note.id not in first_ids
         ),
     ]
     return [one_line(line) for line in lines]
@@ -100,17 +104,20 @@ def header_lines(
 
 def _inflation(noise: FilterNoise) -> str:
     """Return the factors on the noise levels as text."""
-    without, motion = 'the levels below are without these factors', noise.results.motion
+    note, motion = 'the levels below are without these factors', noise.results.motion
     if noise.options.motion and motion is not None:
-        shown = ', '.join(f'{name} {_raised(one)}' for name, one in motion.sensors.items())
-        return f'in motion, {shown}, from {len(motion.drives)} drives; {without}'
+        factors_in_motion = ', '.join(
+            f'{name} {_raised(sensor_in_motion)}'
+            for name, sensor_in_motion in motion.sensors.items()
+        )
+        return f'in motion, {factors_in_motion}, from {len(motion.drives)} drives; {note}'
     factors = noise.options.factors
-    every = set(factors.values())
-    if every == {1.0}:
+    distinct_factors = set(factors.values())
+    if distinct_factors == {1.0}:
         return 'none'
-    each = ', '.join(f'{sensor} x{factor:g}' for sensor, factor in factors.items())
-    which = each if len(every) > 1 else f'x{every.pop():g}'
-    return f'{which} on every N, K and bias; {without}'
+    factor_of_each = ', '.join(f'{sensor} x{factor:g}' for sensor, factor in factors.items())
+    factor_text = factor_of_each if len(distinct_factors) > 1 else f'x{distinct_factors.pop():g}'
+    return f'{factor_text} on every N, K and bias; {note}'
 
 
 def _raised(sensor: SensorInMotion) -> str:
@@ -118,22 +125,24 @@ def _raised(sensor: SensorInMotion) -> str:
     terms: dict[Estimate, list[str]] = {}
     for term, factor in sensor.raised.items():
         terms.setdefault(factor, []).append(term)
-    shown = []
+    texts = []
     for factor, names in terms.items():
         value, low, high = (
             significant(x, LIMIT_DIGITS)
             for x in (factor.value or 1.0, *(factor.ci95 or (0.0, math.inf)))
         )
-        used = '' if (factor.value or 0.0) > 1.0 else 'not raised, '
-        shown.append(f'{" and ".join(names)} {used}x{value} ({low} to {high})')
-    return ' and '.join(shown)
+        remark = '' if (factor.value or 0.0) > 1.0 else 'not raised, '
+        texts.append(f'{" and ".join(names)} {remark}x{value} ({low} to {high})')
+    return ' and '.join(texts)
 
 
 def _sources(results: Results) -> str:
     sources = [f'{s.path} {s.topic}'.strip() for s in results.provenance.sources]
-    more = len(sources) - NAMED_SOURCES
-    named = ', '.join(sources[:NAMED_SOURCES]) + (f' and {more} more' if more > 0 else '')
-    return named or 'sums without a recording'
+    unnamed_count = len(sources) - NAMED_SOURCES
+    source_names = ', '.join(sources[:NAMED_SOURCES]) + (
+        f' and {unnamed_count} more' if unnamed_count > 0 else ''
+    )
+    return source_names or 'sums without a recording'
 
 
 # --- formats --------------------------------------------------------------------------------------
@@ -141,23 +150,23 @@ def _sources(results: Results) -> str:
 INDENT = 2
 
 INNERMOST_LIST = re.compile(r'\[\s+([^][{}"]*?)\s+\]')
-"""A list of numbers on several lines."""
+"""Pattern of a list of numbers that is written on several lines."""
 
 
 def nested(rows: Sequence[Row]) -> dict[str, Value]:
     """Return the values of rows as nested mappings."""
     tree: dict[str, Value] = {}
     for row in rows:
-        here: Any = tree
+        mapping: Any = tree
         for key in row.path[:-1]:
-            here = here.setdefault(key, {})
-        here[row.key] = row.value
+            mapping = mapping.setdefault(key, {})
+        mapping[row.key] = row.value
     return tree
 
 
 def json_form(rows: Sequence[Row], header: Sequence[str]) -> str:
     """Return a JSON file. JSON has no comments, so the header is the value of the key allan_ros."""
-    # the header is last, because a reader may expect one of its own keys first
+    # the header is last, because the program that reads the file may expect another key first
     document = {**nested(rows), 'allan_ros': list(header)}
     text = json.dumps(document, indent=INDENT, ensure_ascii=False, allow_nan=False)
     return INNERMOST_LIST.sub(lambda found: f'[{" ".join(found[1].split())}]', text) + '\n'
@@ -230,4 +239,4 @@ def yaml_form(rows: Sequence[Row], header: Sequence[str], first: str = '') -> st
 
 
 opencv_form = partial(yaml_form, first='%YAML:1.0\n')
-"""YAML for cv::FileStorage."""
+"""Format of YAML files that OpenCV reads (cv::FileStorage)."""

@@ -38,12 +38,13 @@ UPDATE_S = 0.5
 
 
 class ImuWatch(NodePart):
-    """Accumulates the Allan sums of one IMU; a restart continues the sums in the checkpoint.
+    """Accumulates the Allan sums of one IMU; after a restart, the sums in the checkpoint continue.
 
     ``output`` publishes the sums periodically, for a new subscriber, and when sums are reset or
-    replaced. ``sensor`` is the only sensor that is used, or '' for both. ``accel`` is the watch of
-    an accelerometer with its own topic. If it is given, ``output`` publishes the sums of both
-    sensors whenever the sums of one are due, and the services apply to both.
+    replaced. ``sensor`` is the only sensor that is used, or '' for both sensors. ``accel`` is the
+    watch of an accelerometer with its own topic. If ``accel`` is given, ``output`` publishes the
+    sums of both sensors whenever the sums of one sensor are due, and the services reset or save
+    both.
     """
 
     def __init__(
@@ -72,8 +73,8 @@ class ImuWatch(NodePart):
         self.frame_id = ''
         self._axes: tuple[str, ...] = ()  # axes with a finite value so far
         self._faults: tuple[Finding, ...] = ()
-        self._received = 0  # number of messages at the last status
-        self._clock_ns = -1  # time of the node at the last status
+        self._received = 0  # number of messages when the last status was made
+        self._clock_ns = -1  # time of the node in ns when the last status was made
         self._events: tuple[object, ...]
         self._begin(self._checkpoint.covered)
 
@@ -98,7 +99,7 @@ class ImuWatch(NodePart):
         has_new_subscriber = self.output.has_new_subscriber()
         if self._sums_due.due(now) and self._sensor != 'accel':
             self._update()
-            last = self._accel or self  # when the accelerometer publishes, both are published
+            last = self._accel or self  # this input publishes when its accelerometer does
             last._update()
             last._publish(last._total())
         elif has_new_subscriber:  # a new subscriber does not wait for the period
@@ -112,33 +113,37 @@ class ImuWatch(NodePart):
         self._update()
         self._checkpoint.tick()
         health, stream_findings = self._health_and_findings()
-        statistics, (publishers, graph) = self._input.statistics(), self._input.publishers()
+        statistics = self._input.statistics()
+        publishers, graph_findings = self._input.publishers()
         stale_after = self._settings.value.stale_after
-        stuck = self._input.constant.stuck(health.rate_hz) if health.rate_hz else ()
-        if stuck := tuple(axis for axis in stuck if axis in self._usable_axes):
-            stream_findings = (finding('stuck_now', stuck), *stream_findings)
+        stuck_axes = self._input.constant.stuck(health.rate_hz) if health.rate_hz else ()
+        if stuck_axes := tuple(axis for axis in stuck_axes if axis in self._usable_axes):
+            stream_findings = (finding('stuck_now', stuck_axes), *stream_findings)
         if self._is_paused():
-            graph = (*graph, finding('playback_paused', topic=self._input.topic))
-        found = self._monitor.observe(
-            now, statistics, health, publishers, stale_after, stream_findings, graph
+            graph_findings = (*graph_findings, finding('playback_paused', topic=self._input.topic))
+        input_findings = self._monitor.observe(
+            now, statistics, health, publishers, stale_after, stream_findings, graph_findings
         )
-        own = self.output.topic
-        if (count := self._node.count_publishers(own)) > 1:  # another node of the same name
-            names = ', '.join(map(full_name, self._node.get_publishers_info_by_topic(own)))
-            shared = finding('relay_several_publishers', count=count, topic=own, names=names)
-            found = *found, shared
-        faults = faults_of(found)
+        own_topic = self.output.topic
+        if (count := self._node.count_publishers(own_topic)) > 1:  # another node of the same name
+            names = ', '.join(map(full_name, self._node.get_publishers_info_by_topic(own_topic)))
+            shared_topic = finding(
+                'relay_several_publishers', count=count, topic=own_topic, names=names
+            )
+            input_findings = *input_findings, shared_topic
+        faults = faults_of(input_findings)
         self._faults = tuple(f for f in faults if f.axes)
         if len(self._faults) < len(faults):
             self._faults = finding('no_data'), *self._faults
-        larger = noise_now(health, self._sums)
-        self._faults, found = (*self._faults, *larger), (*found, *larger)
+        noise_findings = noise_now(health, self._sums)
+        self._faults = *self._faults, *noise_findings
+        input_findings = *input_findings, *noise_findings
         if health.state == 'moving':
             self._faults = *self._faults, finding('moving_now')
         if self._state() != self.output.state:
             self._publish(self._total())
-        # the findings of a live input replace the findings of a complete stream
-        live = {*LIVE, 'gaps', *(f.id for f in found)}
+        # with these ids, findings about the live input replace findings about the whole stream
+        live_ids = {*LIVE, 'gaps', *(f.id for f in input_findings)}
         stamp_age = None
         if self._last_stamp_ns is not None:
             stamp_age = (self._node.get_clock().now().nanoseconds - self._last_stamp_ns) * 1e-9
@@ -158,8 +163,8 @@ class ImuWatch(NodePart):
             self._imu.hardware_id or one_line(self.frame_id),
             health,
             statistics,
-            (*found, *self._checkpoint.findings),
-            tuple(f for f in stream_findings if f.id not in live),
+            (*input_findings, *self._checkpoint.findings),
+            tuple(f for f in stream_findings if f.id not in live_ids),
             static_s=max((s.elapsed_ns * 1e-9 for s in self._sums), default=0.0),
             streams=max(1, len(self._result.sums)),
             others=others,
@@ -167,14 +172,14 @@ class ImuWatch(NodePart):
         return [status]
 
     def _is_paused(self) -> bool:
-        """Return whether simulated time has not moved since the last call; False with real time.
+        """Return whether simulated time has stopped since the last call; False with real time.
 
-        A message that arrived since that call shows that simulated time has moved.
+        Simulated time has not stopped if a message has arrived since the last call.
         """
         now_ns, former_ns = self._node.get_clock().now().nanoseconds, self._clock_ns
         self._clock_ns = now_ns
-        simulated = bool(self._node.get_parameter('use_sim_time').value)
-        return simulated and now_ns == former_ns and self._received == self._input.received
+        is_simulated = bool(self._node.get_parameter('use_sim_time').value)
+        return is_simulated and now_ns == former_ns and self._received == self._input.received
 
     def close(self) -> None:
         """Accumulate the remaining messages, and write the checkpoint."""
@@ -188,16 +193,16 @@ class ImuWatch(NodePart):
         """Return the health and the findings of the stream.
 
         Computing the sums takes tens of milliseconds. While messages arrive, the sums are therefore
-        computed only if one of `_events` has changed, such as the start of a motion. If more than
+        computed only if one of the values of `_events` has changed. If more than
         `REPLACED_SHARE` of the published samples are missing in the new sums, the new sums are
         published at once.
         """
-        has_new = self._input.received != self._received
+        has_new_messages = self._input.received != self._received
         self._received = self._input.received
         if self._outdated:
             health, findings = self._stream.present_health(self._result.sums)
             before, self._events = self._events, _events(health)
-            if has_new and self._events == before:
+            if has_new_messages and self._events == before:
                 return health, findings
             total = self._total()
             if replaced_share(self.output.sums, total[0]) > REPLACED_SHARE:
@@ -207,11 +212,11 @@ class ImuWatch(NodePart):
     # --- samples in -------------------------------------------------------------------------------
 
     def _begin(self, covered: Sequence[tuple[int, int]] = ()) -> None:
-        """Start new sums; ``covered`` are the stretches of time in the checkpoint, in ns.
+        """Start new sums; ``covered`` are the (first, last) stamps of data in the checkpoint.
 
-        With simulated time, a recording may be played again, which contains no new data. The
-        samples of each time are therefore counted once. With real time, stamps that go back mean
-        that the clock was set, which only splits the data.
+        With simulated time, the same recording may be played again. Samples with stamps in a time
+        that is already covered are therefore excluded. With real time, a stamp that is earlier than
+        the previous stamp means that the clock was set, which only splits the data.
         """
         is_simulated = bool(self._node.get_parameter('use_sim_time').value)
         self._stream = ImuStream(
@@ -223,7 +228,7 @@ class ImuWatch(NodePart):
         )
         self._latest_ns: int | None = None
         self._result = self._stream.result()
-        self._sums: tuple[AllanSums, ...] = ()  # including earlier runs of the node
+        self._sums: tuple[AllanSums, ...] = ()  # sums of this run and of earlier runs of the node
         self._outdated = True  # whether samples were added since `_result` was computed
         self._events = ()
 
@@ -236,9 +241,9 @@ class ImuWatch(NodePart):
         self._stream.update(batch)
         self._outdated = True
         if len(self._axes) < len(self._usable_axes):
-            finite = np.array(AXES)[np.isfinite(batch.samples).any(axis=0)].tolist()
-            known = {*self._axes, *finite}
-            self._axes = tuple(axis for axis in self._usable_axes if axis in known)
+            finite_axes = np.array(AXES)[np.isfinite(batch.samples).any(axis=0)].tolist()
+            known_axes = {*self._axes, *finite_axes}
+            self._axes = tuple(axis for axis in self._usable_axes if axis in known_axes)
         self.frame_id = batch.frame_id
         self._last_stamp_ns = int(batch.stamps_ns[-1])
         self._latest_ns = max(self._latest_ns or 0, int(batch.stamps_ns.max()))
@@ -246,26 +251,26 @@ class ImuWatch(NodePart):
     # --- sums out ---------------------------------------------------------------------------------
 
     def _total(self) -> Total:
-        """Return the sums of all samples so far, including earlier runs of the node."""
+        """Return the sums and the provenance of all samples, also from earlier runs of the node."""
         if self._outdated:
             self._result, self._outdated = self._stream.result(), False
-        known, name = self._result, self._node.get_fully_qualified_name()
+        result, name = self._result, self._node.get_fully_qualified_name()
         provenance = Provenance(
             (SourceInfo(name, self._input.topic, IMU_TYPE, 'live'),),
-            known.segments,
-            known.findings,
-            known.health.counts,
+            result.segments,
+            result.findings,
+            result.health.counts,
             asdict(self._segmenter.value),
             self._latest_ns,
         )
-        total = self._checkpoint.total(known.sums, provenance)
+        total = self._checkpoint.total(result.sums, provenance)
         self._sums = total[0]
         return total
 
     def _state(self) -> object:
         """Return a value that changes when the estimator must receive the sums at once."""
-        means = any(len(each.end_ns) for each in self._stream.means())
-        return self.frame_id, self._axes, means, kinds_of(self._faults)
+        has_means = any(len(each.end_ns) for each in self._stream.means())
+        return self.frame_id, self._axes, has_means, kinds_of(self._faults)
 
     def _publish(self, total: Total) -> None:
         """Publish the sums, together with the accelerometer of another topic if there is one."""
@@ -307,8 +312,12 @@ class ImuWatch(NodePart):
         if self._accel is not None:
             self._accel._on_reset(_request, Trigger.Response())
         self._publish(self._total())
-        kept = [f'the previous sums are in {where}'] if where else []
-        lines = ['the sums start from zero', *kept, *map(finding_line, self._checkpoint.findings)]
+        backup_lines = [f'the previous sums are in {where}'] if where else []
+        lines = [
+            'the sums start from zero',
+            *backup_lines,
+            *map(finding_line, self._checkpoint.findings),
+        ]
         response.success, response.message = True, '; '.join(lines)
         return response
 
@@ -339,7 +348,14 @@ def watched_imus(node: AllanNode) -> list[WatchedImu]:
 
 
 def _events(health: StreamHealth) -> tuple[object, ...]:
-    """Return values that change with a motion, a gap or another frame_id, but not at rest."""
+    """Return values that change with a motion, a gap or a new frame_id, but not while at rest."""
     c = health.counts
-    started, splits = c.used > 0, sum(c.splits.values())
-    return health.state, health.discarded, health.frame_id, health.frame_changes, splits, started
+    has_used_samples, splits = c.used > 0, sum(c.splits.values())
+    return (
+        health.state,
+        health.discarded,
+        health.frame_id,
+        health.frame_changes,
+        splits,
+        has_used_samples,
+    )

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Statuses of an input and of an axis, for `/diagnostics`, and their text for Prometheus."""
+"""Makes the `/diagnostics` statuses of an input and of an axis; writes statuses for Prometheus."""
 
 from __future__ import annotations
 
@@ -38,12 +38,12 @@ LEVELS: Mapping[str, bytes] = {
 """Severity of a finding -> level of a status, which is `bytes` in Python."""
 
 NUMBER_TEXT = r'[-+]?\d+(\.\d*)?(e[-+]?\d+)?'
-"""Pattern of a number. Only values of a status that match it are written as metrics."""
+"""Pattern of a number. Only values of a status that match this pattern are written as metrics."""
 
 FINDING = 'finding'
-"""Key of a status under which the id of the finding in the message stands. The text of each finding
-stands under the key ``finding: <id>``. It begins with 'now' or 'earlier', or states when the event
-was."""
+"""Key of a status whose value is the id of the finding in the message, or 'none'. The text of each
+finding is under the key ``finding: <id>``. This text begins with 'now' or 'earlier', or states when
+the event happened."""
 
 
 def status_name(node: Node, *words: str) -> str:
@@ -54,7 +54,7 @@ def status_name(node: Node, *words: str) -> str:
 
 
 def key_values(pairs: Iterable[tuple[str, object]]) -> list[KeyValue]:
-    """Return pairs of key and value as messages; None becomes 'unknown'."""
+    """Return (key, value) pairs as KeyValue messages; the value None becomes 'unknown'."""
     return [KeyValue(key=key, value=_text(value)) for key, value in pairs]
 
 
@@ -67,7 +67,8 @@ def _text(value: object) -> str:
 OPTION = re.compile(
     r'(?P<open>\()?(allan [a-z]+ )?(?P<option>--[a-z-]+)(; in a node, parameter [a-z_.]+)?'
 )
-"""An option of the command line, possibly after its command, in the text of a finding."""
+"""Pattern of a command line option in the text of a finding. The match includes the command before
+the option and the node parameter after the option, if the text contains these."""
 
 PARAMETERS = {
     '--no-motion-gate': 'parameter segmenter.motion_gate:=false',
@@ -80,15 +81,16 @@ PARAMETERS = {
     '--accel-topic': 'parameter input.accel_topics:=',
     '--motion': 'parameter relay.motion:=true',
 }
-"""Option of the command line -> what to do in a node. After ``:=``, the text names the value."""
+"""Command line option -> text that replaces the option if a node reports the finding. The value of
+the parameter follows ``:=`` in the text of the finding."""
 
 
 VALUELESS = re.compile(r':=(?=\W|$)(?!\{)')
-"""The sign ``:=`` of a parameter, if no value follows the sign."""
+"""Pattern of the sign ``:=`` after a parameter, if no value follows this sign."""
 
 
 def node_text(found: Finding) -> str:
-    """Return the text of a finding with ROS parameters instead of command line options.
+    """Return the text of a finding, with ROS parameters in place of command line options.
 
     Examples
     --------
@@ -115,26 +117,27 @@ def status_of(
 ) -> DiagnosticStatus:
     """Return a status with the level of its most severe finding.
 
-    The message is the first warning or error in ``findings``; without one it is ``otherwise``. The
-    values are the id of the finding in the message, ``pairs`` and all findings, with the word 'now'
-    or 'earlier'. Findings in ``noted`` are past and change neither level nor message.
+    The message of the status is the first warning or error in ``findings``, or ``otherwise`` if
+    ``findings`` contain neither. The values of the status are the id of the finding in the message,
+    ``pairs``, and the text of each finding. Findings in ``noted`` are marked as 'earlier', and
+    change neither level nor message.
     """
-    # the text of an event states when it happened
-    shown = [(f, '' if f.values.get('when') else 'now: ') for f in findings]
-    shown += [(f, 'earlier: ') for f in noted]
-    severe = [f for f in findings if f.severity != 'info']
-    others = ', '.join(dict.fromkeys(f.id.replace('_', ' ') for f in severe[1:]))
-    more = f' (also: {others})' if others else ''
+    # a finding about an event already states when the event happened
+    marked_findings = [(f, '' if f.values.get('when') else 'now: ') for f in findings]
+    marked_findings += [(f, 'earlier: ') for f in noted]
+    problems = [f for f in findings if f.severity != 'info']
+    other_ids = ', '.join(dict.fromkeys(f.id.replace('_', ' ') for f in problems[1:]))
+    also_text = f' (also: {other_ids})' if other_ids else ''
     return DiagnosticStatus(
         level=max((LEVELS[f.severity] for f in findings), default=DiagnosticStatus.OK),
         name=name,
-        message=f'{node_text(severe[0])}{more}' if severe else otherwise,
+        message=f'{node_text(problems[0])}{also_text}' if problems else otherwise,
         hardware_id=hardware_id,
         values=key_values(
             [
-                (FINDING, severe[0].id if severe else 'none'),
+                (FINDING, problems[0].id if problems else 'none'),
                 *pairs,
-                *((f'{FINDING}: {f.id}', f'{when}{node_text(f)}') for f, when in shown),
+                *((f'{FINDING}: {f.id}', f'{when}{node_text(f)}') for f, when in marked_findings),
             ]
         ),
     )
@@ -154,12 +157,13 @@ def input_status(
 ) -> DiagnosticStatus:
     """Return the status of one input.
 
-    ``static_s`` is the duration of the data at rest in the sums, in s. ``streams`` is the number of
-    different sample rates of the sensors. ``noted`` are findings that do not change the level, and
-    ``others`` are further keys with values.
+    ``findings`` determine the level and the message, and ``noted`` are findings that do not change
+    them. ``static_s`` is the duration of the data at rest in the Allan sums, in s. ``streams`` is
+    the number of different sample rates of gyro and accelerometer. ``others`` are (key, value)
+    pairs that are added to the status.
     """
     c, r = health.counts, statistics
-    excluded = {
+    excluded_counts = {
         'moving': c.moving,
         'noise increased': c.noise_increased,
         'noise decreased': c.noise_decreased,
@@ -171,8 +175,8 @@ def input_status(
         'skipped': c.skipped,
         'of another frame_id': c.other_frame,
     }
-    # with several rates, most counts are added up over the sensors
-    undecided = c.received + c.interpolated - c.used - sum(excluded.values())
+    # with two sample rates, most counts are totals of both sensors, but received messages are not
+    undecided_samples = c.received + c.interpolated - c.used - sum(excluded_counts.values())
     pairs: list[tuple[str, object]] = [
         ('state', health.state),
         ('rate [Hz]', health.rate_hz),
@@ -185,8 +189,8 @@ def input_status(
         ('used [samples]', c.used),
         ('missing by the stamps [samples]', c.lost),
         ('interpolated [samples]', c.interpolated),
-        *((f'{reason} [samples]', count) for reason, count in excluded.items()),
-        ('undecided [samples]', undecided if streams == 1 else None),
+        *((f'{reason} [samples]', count) for reason, count in excluded_counts.items()),
+        ('undecided [samples]', undecided_samples if streams == 1 else None),
         *((f'splits by {reason}', count) for reason, count in sorted(c.splits.items())),
         ('publishers of incompatible QoS', sum(f.id == 'qos_incompatible' for f in findings)),
         ('stamps used', health.stamps),
@@ -218,11 +222,13 @@ FIT_NOTES = ('settling', 'not_settled', 'bias_steps', 'level_changes', 'level_ch
 class AxisView:
     """Content of the status of one axis.
 
-    ``sums`` is None before there are sums; ``result`` and ``fit_age_s`` are None before the first
-    fit. ``problems`` are faults of the input, a failed fit or an invalidated model.
-    ``comparisons`` are checks against the datasheet and earlier results, and ``margin`` is the
-    tolerated excess as a fraction of the limit. ``step`` is the latest step of the noise level, if
-    it lies in the recent window. ``noted`` are findings of the fit that do not change the level.
+    ``sums`` are the Allan sums that contain the axis, or None before the first static data.
+    ``result`` and ``fit_age_s`` are None before the first fit. ``problems`` are findings about
+    faults of the input, a failed fit or an invalidated model. ``comparisons`` are checks against
+    the datasheet and earlier results. ``margin`` is the fraction by which a coefficient may exceed
+    its limit, or the noise level may change, without a warning. ``step`` is the change of the noise
+    level in the recent window, or None without a change. ``noted`` are findings of the fit that do
+    not change the level of the status.
     """
 
     axis: str
@@ -267,7 +273,7 @@ def axis_status(name: str, hardware_id: str, view: AxisView) -> DiagnosticStatus
 
 
 def _term_pairs(axis: str, term: str, c: Estimate) -> list[tuple[str, object]]:
-    """Return the value of a term in both units, the ends of its 95 % interval, and its verdict."""
+    """Return the value of a term in SI and datasheet units, its 95 % interval, and its status."""
     si, shown = shown_unit(axis, term, 'SI'), shown_unit(axis, term, 'deg/h')
     pairs: list[tuple[str, object]] = [
         (f'{term} [{u.name}]', value_text(c, u)) for u in (si, shown)
@@ -288,22 +294,23 @@ def _limit_findings(view: AxisView) -> list[Finding]:
 
 
 def _change_findings(view: AxisView) -> list[Finding]:
-    """Return a finding if the noise level has a step that exceeds the margin."""
+    """Return one finding if the noise level has changed by more than the margin, else none."""
     step = view.step
     if step is None or not step.beyond(view.margin):
         return []
-    what: str = _dominant_term(view, step.tau)
-    before, tau, kind = step.coefficient_before(what), None, (sensor_of(view.axis), what)
+    quantity_name: str = _dominant_term(view, step.tau)
+    before, tau = step.coefficient_before(quantity_name), None
+    sensor_and_term = sensor_of(view.axis), quantity_name
     if before is None:
-        before, what, tau = step.before, 'the Allan deviation', step.tau
-        kind = (sensor_of(view.axis), 'B')
+        before, quantity_name, tau = step.before, 'the Allan deviation', step.tau
+        sensor_and_term = sensor_of(view.axis), 'B'
     low, high = step.ci95
     changed = finding(
         'noise_fell' if step.ratio < 1.0 else 'noise_changed',
-        what=what,
+        what=quantity_name,
         tau=tau,
-        before=quantity(before, *kind),
-        after=quantity(before * step.ratio, *kind),
+        before=quantity(before, *sensor_and_term),
+        after=quantity(before * step.ratio, *sensor_and_term),
         ago=step.since_s,
         low=low,
         high=high,
@@ -312,7 +319,7 @@ def _change_findings(view: AxisView) -> list[Finding]:
 
 
 def _dominant_term(view: AxisView, tau: float) -> str:
-    """Return the term that contributes most to the fitted curve at ``tau`` (s); '' before a fit."""
+    """Return the part of the model with the largest Allan deviation at ``tau`` (s), or ''."""
     if view.result is None or view.sums is None or not view.sums.tau0:
         return ''
     parts = view.result.part_adev(np.array([max(1, round(tau / view.sums.tau0))]))
@@ -320,19 +327,19 @@ def _dominant_term(view: AxisView, tau: float) -> str:
 
 
 def _summary(view: AxisView, static_s: float, next_term: str) -> str:
-    """Return the coefficients in datasheet units, and which ones need more data."""
+    """Return the coefficients in datasheet units, and the coefficients that need more data."""
     if view.sums is None:
         return 'no coefficients yet: no static data so far; keep the IMU at rest for a minute'
     static = f'from {duration_text(static_s, 3)} of static data'
     if view.result is None:
         return f'no coefficients yet, {static}'
-    shown = []
+    coefficients = []
     for term in ('N', 'B', 'K'):
         unit = shown_unit(view.axis, term, 'deg/h')
         text = value_text(view.result.fit.noise[term], unit)
         if text != '-':
-            shown.append(f'{term} {text} {unit.name}')
-    known = f'{", ".join(shown) or "no coefficient"} {static}'
+            coefficients.append(f'{term} {text} {unit.name}')
+    known = f'{", ".join(coefficients) or "no coefficient"} {static}'
     return f'{known}; {next_term}' if next_term else known
 
 
@@ -342,8 +349,9 @@ def _next_term(view: AxisView) -> str:
         return ''  # the prediction is valid only for this method
     limits = {c.quantity: c.limit for c in view.comparisons if c.tau is None}
     recordings = view.sums.recordings if view.sums else ()
-    longest = max((m.samples for r in recordings for m in r.means), default=0) * view.result.tau0
-    advice = recommended_duration(view.result.fit, longest, limits)
+    longest = max((m.samples for r in recordings for m in r.means), default=0)
+    longest_segment_s = longest * view.result.tau0
+    advice = recommended_duration(view.result.fit, longest_segment_s, limits)
     if advice is None:
         return ''
     seconds, terms = advice
@@ -352,12 +360,12 @@ def _next_term(view: AxisView) -> str:
 
 
 def _longest_tau(sums: AllanSums) -> float | None:
-    filled = np.flatnonzero(sums.count)
-    return float(sums.m[filled[-1]] * sums.tau0) if len(filled) and sums.tau0 else None
+    levels = np.flatnonzero(sums.count)  # averaging factors with at least one difference
+    return float(sums.m[levels[-1]] * sums.tau0) if len(levels) and sums.tau0 else None
 
 
 def metrics_text(statuses: Sequence[DiagnosticStatus]) -> str:
-    """Return statuses as a file for the textfile collector of Prometheus' node exporter.
+    """Return the text of a file with statuses for the textfile collector of Prometheus.
 
     Examples
     --------
@@ -367,7 +375,7 @@ def metrics_text(statuses: Sequence[DiagnosticStatus]) -> str:
     >>> print(metrics_text([status]).splitlines()[-1])
     allan_ros_value{node="allan_monitor",status="imu gyro x",hardware_id="SN 7",quantity="N",unit="deg/sqrt(h)"} 0.24
     """  # noqa: E501
-    # all lines of one metric must be consecutive
+    # the lines are sorted, because Prometheus requires consecutive lines for each metric
     return '\n'.join([*sorted(line for status in statuses for line in _metrics(status)), ''])
 
 
@@ -385,7 +393,7 @@ def _metrics(status: DiagnosticStatus) -> Iterator[str]:
 
 def _metric(metric: str, value: object, **labels: str) -> str:
     # JSON escapes quotation marks, backslashes and line breaks in the same way as Prometheus
-    shown = ','.join(
+    label_text = ','.join(
         f'{name}={json.dumps(text, ensure_ascii=False)}' for name, text in labels.items()
     )
-    return f'allan_ros_{metric}{{{shown}}} {value}'
+    return f'allan_ros_{metric}{{{label_text}}} {value}'

@@ -58,13 +58,13 @@ from .node_settings import EstimatorSettings, home_of
 from .shell import LATCHED, Worker
 
 FIT_SHARE = 0.05
-"""Largest share of the time for which fits may use a CPU core."""
+"""Largest share of one CPU core that fits may use."""
 
 LONGEST_WAIT_S = 20.0
 """Longest pause in s between two fits that `FIT_SHARE` causes."""
 
 STALE_PERIODS = 3.0
-"""Number of periods without sums after which they are reported as missing."""
+"""Number of publishing periods without sums after which sums are reported as missing."""
 
 ALONE_S = 5.0
 """Time in s after which sums are reported as missing if no publisher has been discovered."""
@@ -74,10 +74,11 @@ class ImuEstimate(NodePart):
     """Fits the sums of one IMU when they have grown enough, and publishes the noise model.
 
     If more than `REPLACED_SHARE` of the samples are removed from the sums, the model is
-    invalidated: a noise model without axes is published, a warning replaces the coefficients, and
-    the sums are fitted again. ``listeners`` are called with every published noise model, and again
-    with the present bias at rest when new sums arrive. Raises AllanError if the file in the
-    parameter ``estimator.sensor`` or ``estimator.baseline`` cannot be read.
+    invalidated: a noise model without axes is published, the statuses show a warning instead of the
+    coefficients, and the sums are fitted again. ``listeners`` are called with every published noise
+    model, and again with the present bias at rest when new sums arrive. ``worker`` runs the fits,
+    and ``label`` is the label of the IMU. Raises AllanError if the file in the parameter
+    ``estimator.sensor`` or ``estimator.baseline`` cannot be read.
     """
 
     def __init__(
@@ -103,6 +104,7 @@ class ImuEstimate(NodePart):
         self._fitting: Future[Fitted] | None = None
         self._driven: tuple[DriveErrors, ...] = ()  # drives of the present factors in motion
         self._outdated = False  # whether the sums of the running fit have been replaced
+        # results, margin and checks of the latest comparison
         self._compared: tuple[Results | None, float, tuple[Check, ...]] = None, 0.0, ()
         self._fit_ended = self._next_fit = 0.0
         self._steps: dict[str, NoiseStep] = {}
@@ -129,7 +131,7 @@ class ImuEstimate(NodePart):
         self._fit_if_due()
 
     def tick(self, now: float) -> None:
-        """Publish the result of a fit that has ended, or fit again if its sums were replaced."""
+        """Publish the result of a fit that has ended; fit again if its sums were replaced."""
         if self._fitting is None or not self._fitting.done():
             return
         fitting, self._fitting = self._fitting, None
@@ -150,17 +152,17 @@ class ImuEstimate(NodePart):
         self._publish(fitted.results)
 
     def statuses(self, now: float) -> list[DiagnosticStatus]:
-        """Return a status for each axis, and one for the errors in motion after the first drive.
+        """Return a status for each axis and, after the first drive, one for the errors in motion.
 
-        There is no status before the first snapshot.
+        Before the first snapshot, no status is returned.
         """
         if self._snapshot is None:
             return []
         latest = self._snapshot
-        known = [(axis, s, s.identity) for s in latest.sums for axis in s.axes]
+        measured_axes = [(axis, s, s.identity) for s in latest.sums for axis in s.axes]
         connected = ImuIdentity(latest.frame_id, latest.hardware_id)
-        waiting = [(axis, None, connected) for axis in latest.axes]
-        statuses = [self._axis_status(now, *each) for each in known or waiting]
+        waiting_axes = [(axis, None, connected) for axis in latest.axes]
+        statuses = [self._axis_status(now, *each) for each in measured_axes or waiting_axes]
         if latest.drives.errors or latest.drives.unused:
             name = status_name(self._node, self._label, 'in motion')
             imu = one_line(latest.hardware_id or latest.frame_id)
@@ -185,7 +187,7 @@ class ImuEstimate(NodePart):
     ) -> DiagnosticStatus:
         margin, results = self._settings.value.margin, self._results
         fit = results.axes.get(axis) if results else None
-        noted = (
+        fit_notes = (
             [f for f in results.findings if f.id in FIT_NOTES and axis in f.axes] if results else []
         )
         view = AxisView(
@@ -201,7 +203,7 @@ class ImuEstimate(NodePart):
             comparisons=tuple(c for c in self._comparisons(margin) if c.axis == axis),
             margin=margin,
             step=self._steps.get(axis),
-            noted=tuple(noted),
+            noted=tuple(fit_notes),
         )
         name = status_name(self._node, self._label, imu.frame_id, axis.replace('_', ' '))
         status = axis_status(name, one_line(imu.hardware_id or imu.frame_id), view)
@@ -262,7 +264,7 @@ class ImuEstimate(NodePart):
 
     def _publish(self, results: Results) -> None:
         self._bias.set_results(results if results.axes else None)
-        if self._snapshot is not None:  # before the model, whose variances must cover the bias
+        if self._snapshot is not None:  # first, because listeners need the bias with the model
             self._bias.update(self._snapshot)
         results = self._with_faults(results)
         document = result_document(results, curves=False)
@@ -290,7 +292,7 @@ class ImuEstimate(NodePart):
 
 
 class SumsInput(NodePart):
-    """Subscribes to the sums of an accumulator, and passes every snapshot to ``listener``."""
+    """Subscribes to the Allan sums of an accumulator, and passes each snapshot to ``listener``."""
 
     def __init__(self, node: AllanNode, listener: Callable[[Snapshot], None]) -> None:
         self._node, self._listener = node, listener
@@ -300,7 +302,7 @@ class SumsInput(NodePart):
 
     @property
     def topic(self) -> str:
-        """Full name of the topic."""
+        """Full name of the topic of the sums."""
         return str(self._subscription.topic_name)
 
     def statuses(self, now: float) -> list[DiagnosticStatus]:
@@ -322,10 +324,10 @@ class SumsInput(NodePart):
         try:
             self._listener(Snapshot.from_json(message.data))
         except AllanError as error:
-            self._problem = f'these sums cannot be read: {error}'
+            self._problem = f'the received sums cannot be read: {error}'
             self._node.get_logger().warning(self._problem, throttle_duration_sec=60.0)
         except Exception as error:  # an invalid document must not end the node
-            self._problem = f'these sums cannot be used: {one_line(repr(error))}'
+            self._problem = f'the received sums cannot be used: {one_line(repr(error))}'
             self._node.fault('sums', error)
         else:
             self._problem = ''

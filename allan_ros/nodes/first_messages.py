@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Sample rate and mean angular rate of an IMU, before a noise model is known."""
+"""Measures the sample rate and the mean angular rate of an IMU before a noise model is known."""
 
 from __future__ import annotations
 
@@ -13,12 +13,13 @@ from ..core.imu import AXES, NANOSECONDS, SENSORS, Floats
 from ..readers.cdr import MalformedMessage, decode_imus
 
 FIRST_RATE_HZ, RATE_S = 1000.0, 1.0
-"""Sample rate for which a datasheet gives the covariances of the first messages, and time in s from
-which the rate is measured. Few IMUs are faster, so the first covariances are usually too large."""
+"""Sample rate in Hz that is assumed for the first messages, and shortest time in s over which the
+rate is measured. Covariances from a datasheet increase with the sample rate. Few IMUs are faster
+than the assumed rate, so the covariances of the first messages are usually too large."""
 
 
 class FirstMessages:
-    """Measures the sample rate and the mean angular rate from some of the messages.
+    """Measures the sample rate and the mean angular rate of an IMU from some of its messages.
 
     ``rate_hz`` is the largest sample rate in Hz, according to the stamps, in any period of
     `RATE_S`; before the end of the first period it is `FIRST_RATE_HZ`. ``bias`` is gyro axis ->
@@ -29,14 +30,14 @@ class FirstMessages:
     def __init__(self) -> None:
         self.rate_hz = FIRST_RATE_HZ
         self.bias: dict[str, Estimate] = {}
-        self._window: tuple[int, int] | None = None  # number of messages, and stamp in ns
-        self._known = False
-        self._count = 0  # number of messages at the last call
+        self._window: tuple[int, int] | None = None  # count, and stamp in ns, at its start
+        self._has_rate = False
+        self._count = 0  # number of messages at the last call of `update`
         # number of samples, their sum, and the sum of their squares
         self._number, self._total, self._squares = 0, np.zeros(3), np.zeros(3)
 
     def update(self, count: int, latest: bytes | None) -> None:
-        """Process the number of messages so far, and the latest of them."""
+        """Process the latest message; ``count`` is the number of messages received so far."""
         if latest is None or count == self._count:
             return
         self._count = count
@@ -53,8 +54,8 @@ class FirstMessages:
             self._window = count, stamp
         elif seconds >= RATE_S:
             rate = (count - began) / seconds
-            self.rate_hz = max(rate, self.rate_hz) if self._known else rate
-            self._window, self._known = (count, stamp), True
+            self.rate_hz = max(rate, self.rate_hz) if self._has_rate else rate
+            self._window, self._has_rate = (count, stamp), True
         else:
             return
         self.bias = self._mean()

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""File of the values that parameters had before they were set; a restart restores these values."""
+"""Stores the values that parameters had before they were set, so that a restart restores them."""
 
 from __future__ import annotations
 
@@ -21,9 +21,10 @@ SCHEMA = 'allan_ros/former_values/1'
 
 @dataclass(frozen=True)
 class Former:
-    """The value that a parameter had before it was set, and the values it was set to since.
+    """The value that a parameter had before it was set, and the values that were sent since.
 
-    ``sent`` has two values while an answer is missing, because either may be in the node.
+    ``found`` is the former value, and ``sent`` contains the values that the parameter may have now:
+    one value, or two values while the node has not answered whether it accepts the second one.
     """
 
     found: Numbers
@@ -33,7 +34,7 @@ class Former:
 def former_values_file(node: str) -> Path:
     """Return the path of the file for the node with this full name, in this ROS domain.
 
-    It is in the folder ``allan_ros`` of ``ROS_HOME``, which is ``~/.ros`` by default.
+    The file is in the folder ``allan_ros`` of ``ROS_HOME``, which is ``~/.ros`` by default.
     """
     home = Path(os.environ.get('ROS_HOME') or '~/.ros').expanduser()
     domain = os.environ.get('ROS_DOMAIN_ID') or '0'
@@ -43,9 +44,10 @@ def former_values_file(node: str) -> Path:
 class FormerValues:
     """The former values of the parameters of one node, by parameter.
 
-    A former value is written to the disk before its parameter is set. It is then not lost if this
-    process is killed. The file is locked while it is open: two programs that set parameters of the
-    same node would each mistake the value set by the other program for the value of the operator.
+    A former value is written to the disk before its parameter is set, so that the value is not lost
+    if this process is killed. The file is locked while it is open: two programs that set parameters
+    of the same node would each mistake a value that the other program has set for a value of the
+    operator.
     """
 
     def __init__(self, node: str) -> None:
@@ -55,9 +57,9 @@ class FormerValues:
         self._stored: Mapping[str, Former] = {}
 
     def open(self) -> Mapping[str, Former]:
-        """Lock the file, and return its values, which a killed program has left.
+        """Lock the file, and return the values that a killed program has left in it.
 
-        Raises AllanError if another program has locked the file, or if it cannot be read.
+        Raises AllanError if another program has locked the file, or if the file cannot be read.
         """
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
@@ -77,7 +79,7 @@ class FormerValues:
     def store(self, values: Mapping[str, Former]) -> None:
         """Replace the content of the file; remove the file if there are no values.
 
-        Raises AllanError if this fails.
+        Raises AllanError if the file cannot be written.
         """
         if values == self._stored:
             return

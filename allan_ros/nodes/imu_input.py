@@ -54,16 +54,16 @@ except ImportError:  # as in Humble
 
 QUEUE_DEPTH = 5000
 """Depth of the subscription's queue in messages; ``qos_overrides`` can change it. Fast DDS keeps at
-most so many: 0.25 s of messages at 20 kHz, about 2.5 MB."""
+most this number of messages, which is 0.25 s of messages at 20 kHz, or about 2.5 MB."""
 
 FETCH_S, FETCH_SHARE = 0.1, 0.25
-"""Longest time in s between two fetches, and largest share of the queue that fills in between."""
+"""Longest time in s between two fetches, and largest share of the queue that fills up meanwhile."""
 
 BUFFER_BYTES, MESSAGE_BYTES = 2**26, 120
-"""Largest size in bytes of fetched messages that are not decoded yet, and bytes that Python adds to
-each payload. The size suffices for 7 s of messages at 20 kHz, or 12 min at 200 Hz. If the node
-computes for longer, further messages stay in the queue. Messages that no longer fit there are lost
-and counted."""
+"""Largest total size in bytes of the fetched messages that are not decoded yet, and number of bytes
+that Python adds to each payload. The total size suffices for 7 s of messages at 20 kHz, or 12 min
+at 200 Hz. If the node does not decode for longer, further messages stay in the queue. Messages that
+do not fit into the queue are lost and counted."""
 
 NAMELESS = '_NODE_NAME_UNKNOWN_'
 """Node name that the ROS graph returns for an endpoint of an unknown node."""
@@ -80,11 +80,12 @@ NO_CALLBACKS = SubscriptionEventCallbacks(use_default_callbacks=False)
 _EVENT_HANDLE: Any = getattr(
     rclpy_implementation, 'EventHandle', getattr(rclpy_implementation, 'QoSEvent', None)
 )
-"""rclpy's handle of an event, which is named `QoSEvent` in Humble; None if there is none."""
+"""Class of rclpy with which an event is polled. In Humble, its name is `QoSEvent`. None if this
+version of rclpy has no such class."""
 
 
 class DrainedGroup(CallbackGroup):
-    """A callback group that never allows execution: the executor ignores its subscription.
+    """A callback group that never allows execution: the executor ignores the subscription in it.
 
     rclpy requires these methods of a callback group.
     """
@@ -107,10 +108,11 @@ def qos_text(qos: QoSProfile) -> str:
 
 
 def _loss_event(subscription: Subscription) -> Any:
-    """Return a handle to poll the number of messages that the middleware lost; None without one.
+    """Return a handle for polling the number of messages that the middleware has lost.
 
-    An executor that waits for such an event also wakes for every unread message of the subscription
-    (Fast DDS), which would be a busy loop here.
+    Returns None if the middleware does not count lost messages. The event is polled, because with
+    Fast DDS, an executor that waits for such an event wakes again and again while the subscription
+    has unread messages.
     """
     lost = QoSSubscriptionEventType.RCL_SUBSCRIPTION_MESSAGE_LOST
     try:
@@ -121,7 +123,7 @@ def _loss_event(subscription: Subscription) -> Any:
 
 
 def _take(subscription: Subscription) -> Any:
-    """Return the next queued message as bytes and its information, or None."""
+    """Return (bytes, information) of the next message in the queue; None if the queue is empty."""
     return subscription.handle.take_message(Imu, True)
 
 
@@ -134,7 +136,8 @@ def subscribe_raw(
     ``plain`` is True, or if this version of rclpy cannot fetch messages, the executor calls
     ``callback`` with the bytes of each message instead. ``depth`` is the depth of the queue.
     """
-    # Best effort connects to every publisher; reliable publishers still deliver in order.
+    # A best-effort subscription connects to every publisher. Reliable publishers still deliver to
+    # it in order.
     qos = QoSProfile(
         history=HistoryPolicy.KEEP_LAST, depth=depth, reliability=ReliabilityPolicy.BEST_EFFORT
     )
@@ -162,21 +165,21 @@ def subscribe_raw(
 
 @dataclass
 class _Buffer:
-    """Fetched messages that are not decoded yet, and numbers of messages that are missing."""
+    """Fetched messages that are not decoded yet, and the numbers of missing messages."""
 
     payloads: list[bytes] = field(default_factory=list)
-    received_ns: list[int] = field(default_factory=list)
-    arrived_s: list[float] = field(default_factory=list)  # times on a steady clock
-    size: int = 0  # in bytes
+    received_ns: list[int] = field(default_factory=list)  # times of reception, system clock
+    arrived_s: list[float] = field(default_factory=list)  # times of reception, steady clock
+    size: int = 0  # size of all messages in bytes
     sent_before: int = 0  # messages before the first one from each publisher
-    skipped_numbers: int = 0  # missing sequence numbers of the publishers
+    skipped_numbers: int = 0  # number of missing sequence numbers of the publishers
 
 
 class ImuInput:
     """Subscribes to the Imu messages of one topic, and decodes them; the topic may be remapped.
 
     ``polled`` is True if a thread fetches the messages until `close`, and False if a callback
-    receives the messages. ``constant`` finds axes whose values do not change.
+    receives the messages. ``constant`` finds axes whose values no longer change.
     """
 
     def __init__(self, node: Node, topic: str, settings: InputSettings) -> None:
@@ -184,7 +187,7 @@ class ImuInput:
         self._node = node
         self._buffer = _Buffer()
         self._lock = threading.Lock()  # protects the buffer and the queue
-        self._error: Exception | None = None  # from the thread; the next `batches` raises it
+        self._error: Exception | None = None  # error in the thread, which `batches` raises
         self._closed = threading.Event()
         self._drained_s = steady_s()
         self._arrivals = Arrivals(self._statistics)
@@ -281,13 +284,13 @@ class ImuInput:
         The findings report publishers whose messages cannot be received, because their message type
         differs or their QoS is incompatible.
         """
-        known = self._node.get_publishers_info_by_topic(self.topic)
-        return tuple(map(full_name, known)), self._mismatches(known)
+        endpoints = self._node.get_publishers_info_by_topic(self.topic)
+        return tuple(map(full_name, endpoints)), self._mismatches(endpoints)
 
-    def _mismatches(self, known: Sequence[Any]) -> tuple[Finding, ...]:
-        imus = [p for p in known if p.topic_type == IMU_TYPE]
-        if known and not imus:
-            types = ', '.join(sorted({p.topic_type for p in known}))
+    def _mismatches(self, publishers: Sequence[Any]) -> tuple[Finding, ...]:
+        imu_publishers = [p for p in publishers if p.topic_type == IMU_TYPE]
+        if publishers and not imu_publishers:
+            types = ', '.join(sorted({p.topic_type for p in publishers}))
             topics = [
                 topic
                 for topic, kinds in self._node.get_topic_names_and_types()
@@ -296,19 +299,19 @@ class ImuInput:
             shown = ', '.join(sorted(topics)[:SUGGESTED_TOPICS])
             candidates = f', such as {shown}' if shown else ''
             return (finding('wrong_type', topic=self.topic, types=types, candidates=candidates),)
-        found = []
-        for publisher in imus:
-            own = self._subscription.qos_profile
-            compatibility, reason = qos_check_compatible(publisher.qos_profile, own)
+        mismatches = []
+        for publisher in imu_publishers:
+            own_qos = self._subscription.qos_profile
+            compatibility, reason = qos_check_compatible(publisher.qos_profile, own_qos)
             if compatibility == QoSCompatibility.ERROR:
                 values = {'names': full_name(publisher), 'topic': self.topic}
                 why = one_line(reason).removeprefix('ERROR: ').strip('; ')
-                found.append(finding('qos_incompatible', reason=why, **values))
-        return tuple(found)
+                mismatches.append(finding('qos_incompatible', reason=why, **values))
+        return tuple(mismatches)
 
     @property
     def qos(self) -> str:
-        """Reliability and history of the subscription, after overrides."""
+        """Reliability and history of the subscription as text, including ``qos_overrides``."""
         return qos_text(self._subscription.qos_profile)
 
     @property
@@ -318,7 +321,10 @@ class ImuInput:
             return self._statistics.received + len(self._buffer.payloads)
 
     def statistics(self) -> TransportStatistics:
-        """Return the counts of received, lost and malformed messages, up to the last `batches`."""
+        """Return the numbers of received, lost and malformed messages.
+
+        Messages that `batches` has not decoded yet are not counted as received.
+        """
         if self._loss is not None:
             with self._loss:
                 data = self._loss.take_event()
@@ -327,14 +333,14 @@ class ImuInput:
         return self._statistics
 
     def close(self) -> None:
-        """Stop the thread, and release the event, which would keep the subscription alive."""
+        """Stop the thread, and release the handle that keeps the subscription alive."""
         self._closed.set()
         if self.polled:
             self._thread.join()
         self._loss = None
 
     def _collect(self, payload: bytes, info: dict[str, Any] | None = None) -> None:
-        """Store one message, and count the messages that were lost before it."""
+        """Store one message, and count the messages that are missing before it."""
         buffer = self._buffer
         buffer.payloads.append(payload)
         buffer.size += len(payload) + MESSAGE_BYTES
@@ -358,7 +364,7 @@ class ImuInput:
 
 
 def steady_s() -> float:
-    """Return the time in s of a clock that is never set and that does not stop in standby."""
+    """Return the time in s of a clock that is never set and, on Linux, also runs in standby."""
     boot = getattr(time, 'CLOCK_BOOTTIME', None)
     return time.monotonic() if boot is None else time.clock_gettime(boot)
 

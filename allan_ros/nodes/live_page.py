@@ -29,14 +29,14 @@ RELOAD_S = 10
 """Time in s after which the browser reloads the page."""
 
 SUMS_TOPIC = '/sums', ['std_msgs/msg/String']
-"""End of the name of each topic with Allan sums, and the types of the topic."""
+"""End of the name of a topic with Allan sums, and the message types of such a topic."""
 
 CACHED_PAGES = 8
 """Number of rendered pages that are kept in memory."""
 
 MOST_REQUESTS, REQUEST_S = 16, 10.0
-"""Largest number of simultaneous requests, and longest time in s for which one may wait for the
-client. Further and slower requests are closed."""
+"""Largest number of simultaneous requests, and longest time in s for which a request may wait for
+its client. The server closes the connections of further requests and of slower requests."""
 
 STALE_SUMS_S = 60.0
 """Age in s from which sums are shown as out of date; nodes publish them every 10 s."""
@@ -59,7 +59,7 @@ class _Server(ThreadingHTTPServer):
             self.shutdown_request(request)
 
     def process_request_thread(self, request: Any, client_address: Any) -> None:
-        """Answer a request."""
+        """Answer a request, and then permit another one."""
         try:
             super().process_request_thread(request, client_address)
         finally:
@@ -81,7 +81,7 @@ class LivePage:
             self._server = _Server((HOST, port), _handler_of(self))
         except OSError as error:
             raise AllanError(
-                f'port {port} cannot be used ({error.strerror}): give another one with --web PORT'
+                f'port {port} cannot be used ({error.strerror}): give another port with --web PORT'
             ) from error
         self._thread = threading.Thread(target=self._server.serve_forever, daemon=True)
         self._thread.start()
@@ -95,8 +95,8 @@ class LivePage:
     def discover(self) -> None:
         """Subscribe to the sums of accumulators that have started since the last call."""
         end, types = SUMS_TOPIC
-        for topic, found in self._node.get_topic_names_and_types():
-            if topic not in self._subscriptions and topic.endswith(end) and found == types:
+        for topic, topic_types in self._node.get_topic_names_and_types():
+            if topic not in self._subscriptions and topic.endswith(end) and topic_types == types:
                 self._subscriptions[topic] = self._node.create_subscription(
                     String, topic, partial(self.on_sums, topic), LATCHED
                 )
@@ -108,15 +108,15 @@ class LivePage:
     def page(self, path: str) -> str | None:
         """Return the HTML page of a URL path, or None if there is none.
 
-        The path of a topic is its report. '/' is the list of topics, or the report if there is only
-        one topic.
+        If the path is the name of a topic, the page is the report of this topic. The page of '/' is
+        the list of topics or, if there is only one topic, the report of this topic.
         """
         sums = dict(self._sums)  # another thread adds topics
         topic = next(iter(sums)) if path == '/' and len(sums) == 1 else path
         if topic in sums:
             received, text = sums[topic]
-            running = self._node.count_publishers(topic) > 0
-            return _with_age(_report(topic, text), time.monotonic() - received, running)
+            is_running = self._node.count_publishers(topic) > 0
+            return _with_age(_report(topic, text), time.monotonic() - received, is_running)
         return _index(sorted(sums)) if path == '/' else None
 
     def close(self) -> None:
@@ -138,14 +138,14 @@ def _report(topic: str, text: str) -> str:
         return _notice(f'{topic}: {error}')
 
 
-def _with_age(html: str, age_s: float, running: bool) -> str:
-    """Return a page with a line that states how old its data are, below the start of its body."""
-    stale = age_s > STALE_SUMS_S or not running
+def _with_age(html: str, age_s: float, is_running: bool) -> str:
+    """Insert a first line into the page ``html`` that states how old the data of the page are."""
+    is_stale = age_s > STALE_SUMS_S or not is_running
     text = f'live at {time.strftime("%H:%M:%S")}; data received {duration_text(age_s)} ago'
-    if stale:
-        why = 'the node no longer publishes' if running else 'the node has stopped'
+    if is_stale:
+        why = 'the node no longer publishes' if is_running else 'the node has stopped'
         text = f'OUT OF DATE: {why}; last data {duration_text(age_s)} ago'
-    style = 'background:#a00;color:#fff;' if stale else ''
+    style = 'background:#a00;color:#fff;' if is_stale else ''
     line = f'<p id="live" role="status" style="{style}margin:0;padding:.3em 1em">{text}</p>'
     return re.sub('<body[^>]*>', lambda body: body[0] + line, html, count=1)
 
@@ -169,7 +169,7 @@ def _handler_of(page: LivePage) -> type[BaseHTTPRequestHandler]:
     class Handler(BaseHTTPRequestHandler):
         """Answers GET with a page that the browser reloads periodically."""
 
-        timeout = REQUEST_S  # time for a socket operation, because a client may send half a request
+        timeout = REQUEST_S  # per socket operation, because a client may send half a request
 
         def do_GET(self) -> None:
             # A web page of another site could read the report through a host name that resolves

@@ -39,14 +39,14 @@ from .shell import LATCHED
 
 REPLACED_SHARE = 0.1
 """Largest share of samples that Allan sums may lose before the coefficients fitted to them are
-invalidated. A small loss is normal: samples from the start of a motion are removed when the motion
-is detected."""
+invalidated. A small loss is normal: when a motion is detected, the samples from the start of this
+motion are removed."""
 
 TWIST_ROWS = {axis: (i + 3) % 6 for i, axis in enumerate(AXES)}
 """Axis -> row in the 6x6 covariance of a twist: linear x, y, z, then angular x, y, z."""
 
 NO_VARIANCE = -1.0
-"""Variance of an axis whose bias is unknown, as in sensor_msgs/Imu."""
+"""Value in place of a variance if the bias of the axis is unknown, as in sensor_msgs/Imu."""
 
 
 @dataclass(frozen=True)
@@ -55,10 +55,10 @@ class Snapshot:
 
     ``total`` contains the sums and their provenance. ``frame_id``, ``hardware_id`` and ``axes``
     describe the messages that are received, which may come from another IMU than the sums. ``axes``
-    are known before there are sums. ``means`` are means over 1 s of the latest samples at rest, in
-    SI; each `Means` contains the axes of one sample rate. ``faults`` are the findings because of
-    which the present samples must not be used. ``drives`` are the latest drives between two rests;
-    the document of a snapshot does not contain them.
+    are also known while there are no sums. ``means`` are means over 1 s of the latest samples at
+    rest, in SI; each `Means` contains the axes with the same sample rate. ``faults`` are findings
+    about the present samples: faults, motion, and more noise than in the sums. ``drives`` are the
+    latest drives between two rests; the document of a snapshot does not contain the drives.
     """
 
     total: Total
@@ -71,11 +71,11 @@ class Snapshot:
 
     @property
     def sums(self) -> tuple[AllanSums, ...]:
-        """One `AllanSums` with all axes, or one per sensor if the sensors have different rates."""
+        """One `AllanSums` with all axes, or one per sensor if their sample rates differ."""
         return self.total[0]
 
     def with_accel(self, accel: Snapshot) -> Snapshot:
-        """Return this snapshot with the axes of an accelerometer from another topic added."""
+        """Return this snapshot, extended by the snapshot of an accelerometer with its own topic."""
         sums, provenance = self.total
         identity = sums[0].identity if sums else ImuIdentity(self.frame_id, self.hardware_id)
         return replace(
@@ -90,7 +90,7 @@ class Snapshot:
         )
 
     def to_document(self) -> dict[str, Any]:
-        """Return the document of ``~/sums``: a sums file with connected IMU, means and faults."""
+        """Return the document of a sums file, extended by the connected IMU, means and faults."""
         imu = {'frame_id': self.frame_id, 'hardware_id': self.hardware_id, 'axes': [*self.axes]}
         means = [
             {
@@ -124,7 +124,7 @@ class Snapshot:
 
 
 def _means(documents: Any) -> tuple[Means, ...]:
-    """Return the means; raise AllanError unless they are rows of finite numbers."""
+    """Read the means from a document; raise AllanError unless they are rows of finite numbers."""
     try:
         means = tuple(
             Means(
@@ -142,36 +142,40 @@ def _means(documents: Any) -> tuple[Means, ...]:
 
 
 def replaced_share(before: Sequence[AllanSums], after: Sequence[AllanSums]) -> float:
-    """Return the largest share of samples of the earlier sums that are missing in the later sums.
+    """Return the share of the samples in ``before`` that are missing in ``after``.
 
-    The share is 0 while sums only grow, and 1 if the sums of an IMU are missing. It is computed
-    from the start and length of the segments, of which sums list the `KEPT_SEGMENTS` longest.
+    If ``before`` contains several `AllanSums`, their largest share is returned. The share is 0
+    while sums only grow, and 1 if ``after`` has no sums of the same IMU and axes. The share is
+    computed from the starts and lengths of the segments; `AllanSums` list only their
+    `KEPT_SEGMENTS` longest segments.
     """
     shares = [0.0]
     for old in before:
-        same = [s for s in after if (s.identity, s.axes) == (old.identity, old.axes)]
-        if not same:
+        matching_sums = [s for s in after if (s.identity, s.axes) == (old.identity, old.axes)]
+        if not matching_sums:
             return 1.0
-        shares.append(_lost(old, same[0]) / max(old.samples, 1))
+        shares.append(_lost(old, matching_sums[0]) / max(old.samples, 1))
     return max(shares)
 
 
 REPLACING = ('relearned', 'noise_increased', 'noise_decreased', 'gyro_unit_changed', 'clock_jumps')
-"""Findings of a stream that explain why samples were removed from its sums."""
+"""Findings that explain why samples were removed from the Allan sums of a stream."""
 
 
 def replaced_because(before: Sequence[AllanSums], snapshot: Snapshot) -> str:
-    """Return why samples of the earlier sums are missing in a snapshot, as a part of a sentence."""
+    """Return why samples in the sums ``before`` are missing in a snapshot, as a clause."""
     connected = ImuIdentity(snapshot.frame_id, snapshot.hardware_id)
     former = next((s.identity for s in before), connected)
     if (former.frame_id, former.hardware_id) != (connected.frame_id, connected.hardware_id):
-        one, other = (one_line(str(i.hardware_id or i.frame_id)) for i in (former, connected))
-        return f'messages of "{other}" arrive instead of "{one}"'
+        former_name, connected_name = (
+            one_line(str(i.hardware_id or i.frame_id)) for i in (former, connected)
+        )
+        return f'messages of "{connected_name}" arrive instead of "{former_name}"'
     if not snapshot.sums:
         return 'the Allan sums were reset'
-    found = [f for f in snapshot.total[1].findings if f.id in REPLACING]
-    if found:
-        message = texts_of(found[0]).message.rstrip('.')
+    reasons = [f for f in snapshot.total[1].findings if f.id in REPLACING]
+    if reasons:
+        message = texts_of(reasons[0]).message.rstrip('.')
         return f'{message[0].lower()}{message[1:]}'
     return 'the IMU moved or had a fault'
 
@@ -183,31 +187,32 @@ def _lost(old: AllanSums, new: AllanSums) -> int:
     lost = sum(
         samples - min(samples, present[start])
         for start, samples in _samples_by_start(old).items()
-        if start in present or samples > shortest  # shorter segments are in no list
+        if start in present or samples > shortest  # shorter segments are not listed
     )
     return max(lost, old.samples - new.samples)
 
 
 def _samples_by_start(sums: AllanSums) -> Counter[int]:
-    """Return the number of samples of each listed segment, by the stamp of its start in ns."""
-    found: Counter[int] = Counter()
+    """Return the stamp of the start in ns -> number of samples, for each listed segment."""
+    samples: Counter[int] = Counter()
     for segment in (m for r in sums.recordings for m in r.means):
-        found[segment.start_ns] += segment.samples
-    return found
+        samples[segment.start_ns] += segment.samples
+    return samples
 
 
 def kinds_of(faults: Iterable[Finding]) -> frozenset[tuple[str, tuple[str, ...], int]]:
-    """Return the kinds of present findings; when they change, the sums are published at once.
+    """Return the kinds of the findings about the present samples.
 
-    A kind consists of the id, the axes and the ratio of the noise, in steps of a factor of 1.19.
+    When the kinds change, the sums are published at once. A kind consists of the id, the axes, and
+    the ratio of the noise to earlier noise, rounded to a power of 1.19.
     """
     ratios = ((f, float(f.values.get('ratio') or 1.0)) for f in faults)
     return frozenset((f.id, f.axes, round(4.0 * math.log2(ratio))) for f, ratio in ratios)
 
 
 ModelListener = Callable[[Results, Mapping[str, Estimate]], None]
-"""Function that receives each noise model, and axis -> known bias at rest in SI. Results without
-axes mean that the model is invalidated."""
+"""Function that receives a noise model, and axis -> bias at rest in SI for each axis with a known
+bias. Results without axes mean that the model is invalidated."""
 
 
 class BiasPublisher:
@@ -227,19 +232,19 @@ class BiasPublisher:
         for means in snapshot.means:
             for i, axis in enumerate(means.axes):
                 self._tracker.add_means(axis, means.end_ns.tolist(), means.values[:, i].tolist())
-        known, latest = self.at_rest(), self._tracker.end_ns
-        if known and latest != self._last_ns:
+        biases, latest = self.at_rest(), self._tracker.end_ns
+        if biases and latest != self._last_ns:
             self._last_ns = latest
-            self._publisher.publish(bias_message(known, latest, snapshot.frame_id))
+            self._publisher.publish(bias_message(biases, latest, snapshot.frame_id))
 
     def set_results(self, results: Results | None) -> None:
-        """Use the noise models of these results for the bias; None removes the models."""
+        """Compute the bias with the noise models of these results; None removes the models."""
         axes = results.axes if results is not None else {}
         self._turn_on = {axis: r.turn_on for axis, r in axes.items() if r.turn_on is not None}
         self._tracker.set_models({axis: BiasModel.of_fit(r.fit) for axis, r in axes.items()})
 
     def values(self, axis: str, unit: str) -> list[tuple[str, object]]:
-        """Return keys and values for the status of an axis; empty while its bias is unknown."""
+        """Return (key, value) pairs for the status of an axis; none while the bias is unknown."""
         bias = self._tracker.bias(axis)
         if bias is None:
             return []
@@ -256,17 +261,17 @@ class BiasPublisher:
         return pairs
 
     def at_rest(self) -> dict[str, Estimate]:
-        """Return the known bias of each axis in SI."""
+        """Return axis -> bias in SI, for each axis whose bias is known."""
         return {axis: b for axis in AXES if (b := self._tracker.bias(axis)) is not None}
 
 
 def bias_message(
     known: Mapping[str, Estimate], end_ns: int, frame_id: str
 ) -> TwistWithCovarianceStamped:
-    """Return the biases in SI as a twist: gyro in the angular, accelerometer in the linear part.
+    """Return a twist with the gyro bias as angular part and the accelerometer bias as linear part.
 
-    ``known`` is axis -> bias; other axes have the variance `NO_VARIANCE`. ``end_ns`` is the end
-    time of the latest data in ns.
+    ``known`` is axis -> bias for each axis whose bias is known; other axes have the variance
+    `NO_VARIANCE`. Biases are in SI. ``end_ns`` is the end time of the latest data in ns.
     """
     message = TwistWithCovarianceStamped()
     message.header.frame_id = frame_id
@@ -284,11 +289,11 @@ def bias_message(
 
 
 def bias_of(message: TwistWithCovarianceStamped) -> dict[str, Estimate]:
-    """Return axis -> bias in SI from a message of `bias_message`."""
-    twist, known = message.twist.twist, {}
+    """Return axis -> bias in SI from a message that `bias_message` has made."""
+    twist, biases = message.twist.twist, {}
     for axis, row in TWIST_ROWS.items():
         sensor, letter = axis.split('_')
         vector = twist.angular if sensor == 'gyro' else twist.linear
         if (variance := message.twist.covariance[7 * row]) >= 0.0:
-            known[axis] = Estimate.normal(getattr(vector, letter), math.sqrt(variance))
-    return known
+            biases[axis] = Estimate.normal(getattr(vector, letter), math.sqrt(variance))
+    return biases

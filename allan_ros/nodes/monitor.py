@@ -1,8 +1,9 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""`allan_monitor`, and the three nodes that it combines: accumulator, estimator and relay.
+"""The node `allan_monitor`, and the nodes accumulator, estimator and relay that it combines.
 
-Each node is a list of parts. The monitor has the parts of all three nodes for each of its IMUs.
+A node consists of parts. For each of its IMUs, the monitor has the parts of an accumulator, of an
+estimator and, if enabled, of a relay.
 """
 
 from __future__ import annotations
@@ -33,8 +34,8 @@ class Accumulator(AllanNode):
                 'use allan_monitor for several IMUs'
             )
         inputs = watches(self, imus[0])
-        described = ' and '.join(watch.description for watch in inputs)
-        self.begin(inputs, f'accumulates {described}')
+        descriptions = ' and '.join(watch.description for watch in inputs)
+        self.begin(inputs, f'accumulates {descriptions}')
 
 
 class Estimator(AllanNode):
@@ -60,40 +61,41 @@ class Relay(AllanNode):
 
 
 class Monitor(AllanNode):
-    """Runs an accumulator, an estimator and, if enabled, a relay for each of ``input.topics``."""
+    """Runs an accumulator, an estimator and, if enabled, a relay for each topic in input.topics."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__('allan_monitor', **options)
         self.metrics_file = self.parameters.group('monitor', MonitorSettings).value.metrics_file
         settings = self.parameters.group('input', InputSettings).value
-        relayed = self.parameters.group('relay', RelaySettings).value.enabled
+        has_relay = self.parameters.group('relay', RelaySettings).value.enabled
         imus, worker, push = watched_imus(self), Worker(), ParameterPush(self)
         if push.node and len(imus) > 1:
             raise AllanError(
                 f'push.node is set, but there are {len(imus)} IMUs: start a separate '
                 f'allan_monitor for the IMU of {push.node}'
             )
-        if relayed and (settings.gyro_unit, settings.accel_unit) != ('rad/s', 'm/s^2'):
+        if has_relay and (settings.gyro_unit, settings.accel_unit) != ('rad/s', 'm/s^2'):
             raise AllanError(
-                'relay.enabled excludes input.gyro_unit and input.accel_unit, because state '
-                'estimators expect rad/s and m/s^2: convert the units in the driver'
+                'relay.enabled cannot be combined with input.gyro_unit or input.accel_unit, '
+                'because state estimators expect rad/s and m/s^2: convert the units in the driver'
             )
-        if relayed and any(settings.accel_topics):
+        if has_relay and any(settings.accel_topics):
             raise AllanError(
-                'relay.enabled excludes input.accel_topics, because state estimators expect both '
-                'sensors in each message: unite them in the driver'
+                'relay.enabled cannot be combined with input.accel_topics, because state '
+                'estimators expect both sensors in each message: publish gyro and accelerometer '
+                'together in the driver'
             )
         parts: list[NodePart] = []
-        described: list[str] = []
+        descriptions: list[str] = []
         for imu in imus:
             topic = self.resolve_topic_name(f'{home_of(imu.label)}noise_model')
-            relays = [ImuRelay(self, imu, topic)] if relayed else []
+            relays = [ImuRelay(self, imu, topic)] if has_relay else []
             listeners = [push.offer, *(relay.offer for relay in relays)]
             estimate = ImuEstimate(self, imu.label, worker, listeners)
             inputs = watches(self, imu, estimate.process)
             parts += [*inputs, estimate, *relays]
-            described += [watch.description for watch in inputs]
-        self.begin([*parts, push], f'monitors {", ".join(described)}')
+            descriptions += [watch.description for watch in inputs]
+        self.begin([*parts, push], f'monitors {", ".join(descriptions)}')
 
 
 NODES: dict[str, tuple[Callable[[], AllanNode], str]] = {
@@ -112,7 +114,7 @@ def main(node: str, args: Sequence[str] | None = None) -> int:
         prog=name,
         description=(make.__doc__ or '').replace('``', ''),
         epilog='Parameters are set by ROS arguments: --ros-args -p NAME:=VALUE, '
-        '--params-file FILE, -r TOPIC:=OTHER. All parameters: config/allan_ros.yaml, or '
-        'ros2 param describe.',
+        '--params-file FILE, -r TOPIC:=OTHER. All parameters are described in '
+        'config/allan_ros.yaml and by ros2 param describe.',
     )
     return run(name, lambda _stop, _options: make(), parser, args)

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Status of the errors of an IMU in motion, for `/diagnostics`."""
+"""Makes the `/diagnostics` status of the errors of an IMU in motion."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from ..results.results import Results
 from .diagnostics import status_of
 
 ENDS = ('', ' low', ' high')
-"""Suffixes of the keys of a value and of the ends of its 95 % interval."""
+"""Suffixes of the keys for a value, and for the lower and upper end of its 95 % interval."""
 
 
 def motion_status(
@@ -26,8 +26,10 @@ def motion_status(
 ) -> DiagnosticStatus:
     """Return the status of the errors in motion of one IMU.
 
-    ``results`` is None before the first model. The factor of the errors is a warning if its 95 %
-    interval lies above ``limit``.
+    ``drives`` are the latest drives, and ``results`` contains the factors in motion; it is None
+    before the first noise model. A factor in motion is the error in motion divided by its
+    prediction from the noise at rest. A factor is a warning if its 95 % interval lies above
+    ``limit``.
     """
     unused = sum(drives.unused.values())
     pairs: list[tuple[str, object]] = [('drives', len(drives.errors)), ('drives not used', unused)]
@@ -41,14 +43,14 @@ def motion_status(
         if len(drives.errors) >= LEAST_DRIVES and rest_s >= LEAST_REST_S:
             text = 'not measured: the rests do not show the noise of the sensor'
         return status_of(name, [], text, pairs, hardware_id=hardware_id)
-    findings, shown = [], []
-    for sensor, one in motion.sensors.items():
-        low, high = one.factor.ci95 or (0.0, math.inf)
-        ratio, error = one.factor.value or 1.0, INTEGRAL_NAMES[sensor]
+    findings, error_texts = [], []
+    for sensor, sensor_motion in motion.sensors.items():
+        low, high = sensor_motion.factor.ci95 or (0.0, math.inf)
+        ratio, error = sensor_motion.factor.value or 1.0, INTEGRAL_NAMES[sensor]
         numbers = [significant(value, 2) for value in (ratio, low, high)]
-        shown.append(f'{error} error {numbers[0]} ({numbers[1]} to {numbers[2]})')
+        error_texts.append(f'{error} error {numbers[0]} ({numbers[1]} to {numbers[2]})')
         pairs += [(f'factor of the {error} error{end}', text) for end, text in zip(ENDS, numbers)]
-        for term, factor in one.raised.items():
+        for term, factor in sensor_motion.raised.items():
             pairs.append((f'factor of {term} of the {sensor}', significant(factor.value or 1.0, 2)))
         if low > limit:
             axes = tuple(axis for axis in AXES if sensor_of(axis) == sensor)
@@ -65,5 +67,7 @@ def motion_status(
                 )
             )
     pairs.append(('cause', causes_text(motion) or None))
-    text = f'in motion: {", ".join(shown)} times the noise at rest, {len(motion.drives)} drives'
+    text = (
+        f'in motion: {", ".join(error_texts)} times the noise at rest, {len(motion.drives)} drives'
+    )
     return status_of(name, findings, text, pairs, hardware_id=hardware_id)

@@ -43,7 +43,7 @@ FAULT_SHOWN_S = 60.0
 """Time in s for which an internal error stays on `/diagnostics` after its last occurrence."""
 
 RCLPY_PARAMETERS = ('use_sim_time', 'start_type_description_service')
-"""Parameters that rclpy itself declares, in addition to ``qos_overrides.*``."""
+"""Parameters, besides ``qos_overrides.*``, that rclpy itself declares."""
 
 
 class ParameterGroup(Generic[T]):
@@ -61,11 +61,11 @@ class ParameterGroup(Generic[T]):
         Raises AllanError if a value is invalid.
         """
         start = f'{self.prefix}.'
-        own = [p for p in parameters if p.name.startswith(start)]
-        if not own:
+        own_parameters = [p for p in parameters if p.name.startswith(start)]
+        if not own_parameters:
             return self.value
-        given = {p.name[len(start) :]: _from_ros(p.value) for p in own}
-        made: T = replace(self.value, **given)  # type: ignore[type-var]
+        new_values = {p.name[len(start) :]: _from_ros(p.value) for p in own_parameters}
+        made: T = replace(self.value, **new_values)  # type: ignore[type-var]
         return made
 
 
@@ -87,14 +87,13 @@ class Parameters:
     ) -> ParameterGroup[T]:
         """Return a group, and declare ``<prefix>.<field>`` for each field that is not declared yet.
 
-        If ``names`` are given, only these fields are declared; others have their defaults.
-
-        Raises AllanError if a value given at start is invalid or has the wrong type, and
-        ParameterException (rclpy) if it is outside its range.
+        If ``names`` are given, only the fields with these names are declared; other fields have
+        their defaults. Raises AllanError if a value given at start is invalid or has the wrong
+        type, and ParameterException (rclpy) if a value is outside its range.
         """
-        # rclpy calls `_on_set` for each declaration, but only all values together are valid
+        # rclpy calls `_on_set` for each declaration, but a value may be invalid without the others
         group = self._groups.pop(prefix, ParameterGroup(prefix, settings_type()))
-        given = {}
+        declared_values = {}
         for name, info in describe(settings_type).items():
             full = f'{prefix}.{name}'
             if self._node.has_parameter(full) or (names and name not in names):
@@ -108,19 +107,22 @@ class Parameters:
                 raise AllanError(
                     f'parameter {full} is {wrong!r}: give a value such as {value!r}'
                 ) from error
-            given[name] = _from_ros(declared.value)
-        group.value = replace(group.value, **given)
+            declared_values[name] = _from_ros(declared.value)
+        group.value = replace(group.value, **declared_values)
         self._groups[prefix] = group
         return group
 
     def unknown(self) -> list[str]:
         """Return a warning for each parameter given at start that no allan_ros node declares."""
-        known = [f'{prefix}.{name}' for prefix, made in GROUPS.items() for name in describe(made)]
-        given: dict[str, Any] = getattr(self._node, '_parameter_overrides', {})
+        known_names = [
+            f'{prefix}.{name}' for prefix, made in GROUPS.items() for name in describe(made)
+        ]
+        given_values: dict[str, Any] = getattr(self._node, '_parameter_overrides', {})
         return [
-            f'parameter {name!r} is unknown and ignored{_suggestion(name, known)}'
-            for name in given
-            if name not in (*known, *RCLPY_PARAMETERS) and not name.startswith('qos_overrides.')
+            f'parameter {name!r} is unknown and ignored{_suggestion(name, known_names)}'
+            for name in given_values
+            if name not in (*known_names, *RCLPY_PARAMETERS)
+            and not name.startswith('qos_overrides.')
         ]
 
     def changes(self) -> list[str]:
@@ -138,7 +140,7 @@ class Parameters:
             changed = [(group, group.changed(parameters)) for group in self._groups.values()]
         except AllanError as error:
             return SetParametersResult(successful=False, reason=str(error))
-        for p in parameters:  # rclpy itself rejects this one after this callback
+        for p in parameters:  # rclpy checks this one only after this callback
             if p.name == 'use_sim_time' and p.type_ != Parameter.Type.BOOL:
                 return SetParametersResult(successful=False, reason='use_sim_time must be a bool')
         for group, value in changed:
@@ -165,7 +167,7 @@ def descriptor(info: ParameterInfo, default: Any) -> ParameterDescriptor:
 
 
 def to_ros(value: Any) -> Any:
-    """Return the value in the type of a ROS parameter: a list for a tuple."""
+    """Return a value in the type that rclpy uses for a parameter: a tuple becomes a list."""
     return list(value) if isinstance(value, tuple) else value
 
 
@@ -173,13 +175,13 @@ def _from_ros(value: Any) -> Any:
     return tuple(value) if isinstance(value, (list, tuple)) else value
 
 
-def _suggestion(name: str, known: list[str]) -> str:
-    """Return '; did you mean ...?' with the known parameters of a similar name, or ''."""
-    ends = [full for full in known if full.endswith(f'.{name}')]
-    starts = [f'{name}.{field}' for field in ('path', 'enabled', 'node')]
-    found = [*ends, *(full for full in starts if full in known)]
-    found = found or get_close_matches(name, known, 1, 0.7)
-    return f'; did you mean {" or ".join(dict.fromkeys(found))}?' if found else ''
+def _suggestion(name: str, known_names: list[str]) -> str:
+    """Return '; did you mean ...?' with known parameters that have a similar name, or ''."""
+    same_field = [full for full in known_names if full.endswith(f'.{name}')]
+    group_switches = [f'{name}.{field}' for field in ('path', 'enabled', 'node')]
+    candidates = [*same_field, *(full for full in group_switches if full in known_names)]
+    candidates = candidates or get_close_matches(name, known_names, 1, 0.7)
+    return f'; did you mean {" or ".join(dict.fromkeys(candidates))}?' if candidates else ''
 
 
 class Periodic:
@@ -234,7 +236,7 @@ class AllanNode(Node):
         self._metrics_due = Periodic(lambda: METRICS_S)
 
     def begin(self, parts: Sequence[NodePart], purpose: str) -> None:
-        """Start a timer that polls the parts, and log the purpose."""
+        """Start a timer that polls the parts, and log the ``purpose`` of the node."""
         self._parts = parts
         settings = ', '.join(self.parameters.changes()) or 'all defaults'
         self.get_logger().info(f'{purpose}; settings: {settings}')
@@ -281,9 +283,9 @@ class AllanNode(Node):
                 statuses += part.statuses(now)
             except Exception as error:
                 self.fault(f'{type(part).__name__} diagnostics', error)
-        faults = list(self._faults.values())  # a thread of a part may add one at the same time
-        if recent := [f for at, f in faults if now - at <= FAULT_SHOWN_S]:
-            statuses.append(status_of(status_name(self, 'node'), recent, '', ()))
+        faults = list(self._faults.values())  # a copy, because another thread may add a fault
+        if recent_faults := [f for at, f in faults if now - at <= FAULT_SHOWN_S]:
+            statuses.append(status_of(status_name(self, 'node'), recent_faults, '', ()))
         if self.metrics_file and self._metrics_due.due(now):
             try:
                 write_atomic(self.metrics_file, metrics_text(statuses))

@@ -24,7 +24,7 @@ magnitude."""
 
 
 def home_of(label: str) -> str:
-    """Return the prefix of topics and services of an IMU; one IMU alone has no label."""
+    """Return the prefix of the topics and services of an IMU; a single IMU has the label ''."""
     return f'~/{label}/' if label else '~/'
 
 
@@ -57,8 +57,8 @@ class InputSettings(CheckedSettings):
     topics: tuple[str, ...] = fixed_parameter(('imu/data',), 'Imu topics to watch.')
     accel_topics: tuple[str, ...] = fixed_parameter(
         ('',),
-        'One topic per IMU with its accelerometer, if topics has only the gyro; it may have '
-        'another rate; empty: topics have both.',
+        'Topic with the accelerometer of each IMU, if input.topics contain only gyros; the sample '
+        'rates may differ; empty: input.topics contain both sensors.',
     )
     labels: tuple[str, ...] = fixed_parameter(
         ('',),
@@ -112,14 +112,14 @@ class InputSettings(CheckedSettings):
         several, or ''.
         """
         count = len(self.topics)
-        made = [t.strip('~/').replace('/', '_') if count > 1 else '' for t in self.topics]
-        labels = self.labels if any(self.labels) else made
+        topic_labels = [t.strip('~/').replace('/', '_') if count > 1 else '' for t in self.topics]
+        labels = self.labels if any(self.labels) else topic_labels
         hardware_ids = self.hardware_ids * (count if len(self.hardware_ids) == 1 else 1)
-        accels = self.accel_topics if any(self.accel_topics) else [''] * count
+        accel_topics = self.accel_topics if any(self.accel_topics) else [''] * count
         path = Path(checkpoint).expanduser()
         files = [path if count == 1 else path / f'{label}.json' for label in labels]
-        files_or_none = [str(file) if checkpoint else '' for file in files]
-        return list(map(WatchedImu, self.topics, labels, hardware_ids, files_or_none, accels))
+        checkpoints = [str(file) if checkpoint else '' for file in files]
+        return list(map(WatchedImu, self.topics, labels, hardware_ids, checkpoints, accel_topics))
 
 
 @dataclass(frozen=True)
@@ -145,7 +145,7 @@ class CheckpointSettings(CheckedSettings):
     path: str = fixed_parameter(
         '',
         'Checkpoint file, or a folder for several IMUs (<label>.json in it); missing folders are '
-        'created; empty: none.',
+        'created; empty: no checkpoint.',
     )
     period: float = parameter(60.0, 'Period at which the checkpoint is written.', 's', 0.5, 86400.0)
 
@@ -168,20 +168,21 @@ class EstimatorSettings(CheckedSettings):
     baseline: str = fixed_parameter('', 'Earlier results.json to compare with; empty: none.')
     margin: float = parameter(
         MARGIN,
-        'Warn when the entire 95 % interval is above the limit by more than this fraction.',
+        'Warn when the entire 95 % interval of a coefficient is above its limit by more than this '
+        'fraction.',
         low=0.0,
         high=100.0,
     )
     motion_limit: float = parameter(
         10.0,
-        'Warn when the errors in motion exceed the prediction from the noise at rest by more than '
-        'this factor, with their entire 95 % interval.',
+        'Warn when the error in motion, divided by its prediction from the noise at rest, exceeds '
+        'this factor with the entire 95 % interval.',
         low=1.0,
         high=1e6,
     )
     recent_window: float = fixed_parameter(
         3600.0,
-        'Length of the window whose noise is compared with earlier data.',
+        'Length of the latest time window, whose noise is compared with the noise before it.',
         's',
         1.0,
         604800.0,
@@ -200,17 +201,19 @@ class RelaySettings(CheckedSettings):
     horizon: float = parameter(
         0.0,
         'For state estimators without a bias state: the variance is raised until it covers all '
-        'drift over this time; 0: white noise alone.',
+        'drift over this time; 0: drift is not covered.',
         unit='s',
         low=0.0,
         high=1e6,
     )
     debiased: bool = parameter(
         False,
-        'The driver removes the gyro bias or the state estimator estimates it, so the variance '
-        'does not cover the bias.',
+        'Whether the driver removes the gyro bias or the state estimator estimates it; if true, '
+        'the variance does not cover the bias.',
     )
-    inflate: float = parameter(1.0, 'Factor on the standard deviation.', '', 1.0, 1000.0)
+    inflate: float = parameter(
+        1.0, 'Factor by which the standard deviation is multiplied.', '', 1.0, 1000.0
+    )
     motion: bool = parameter(
         False,
         'Multiply the standard deviation of each sensor by its factor in motion while the IMU '
@@ -225,7 +228,7 @@ class PushSettings(CheckedSettings):
 
     node: str = fixed_parameter('', 'Full name of the node whose parameters are set; empty: none.')
     filter: str = fixed_parameter(
-        '', 'Which numbers are set as which parameters: a name in config/filters, or a file.'
+        '', 'Which number is set as which parameter: a name in config/filters, or a file.'
     )
     enabled: bool = parameter(
         True,
@@ -239,9 +242,11 @@ class PushSettings(CheckedSettings):
         high=1e6,
     )
     debiased: bool = parameter(
-        False, 'The driver removes the gyro bias, so a gain does not cover the bias.'
+        False, 'Whether the driver removes the gyro bias; if true, a gain does not cover the bias.'
     )
-    period: float = parameter(300.0, 'Shortest time between two changes.', 's', 0.1, 604800.0)
+    period: float = parameter(
+        300.0, 'Shortest time between two changes of parameters.', 's', 0.1, 604800.0
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -273,4 +278,4 @@ GROUPS: dict[str, type] = {
     'push': PushSettings,
     'monitor': MonitorSettings,
 }
-"""Parameter group -> its settings."""
+"""Parameter group -> class of its settings."""

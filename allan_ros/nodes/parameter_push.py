@@ -9,13 +9,14 @@ Conditions
 ----------
 - The export target is in `PUSHED_TARGETS`: its convention was verified in the code of a state
   estimator.
-- The value is a noise density for a state estimator that estimates the bias, or a gain that is too
-  small for the errors in motion, which were measured in drives of this robot (`GAINS`).
+- The value is a noise density, and the state estimator estimates the bias. Or the value is a gain
+  (`GAINS`), the gain in the node is too small for the errors in motion, and these errors were
+  measured in drives of this robot.
 - The input has no fault.
 - The 95 % interval of the value is narrow (`SETTLED_RATIO`).
 - The value differs from the found value by at most the factor ``push.max_factor``. The found value
   is the value that the parameter had before this node set it.
-- The found value is on the disk (`FormerValues`).
+- The found value has been written to the disk (`FormerValues`).
 
 Restoring
 ---------
@@ -65,29 +66,29 @@ CLOSING_S = 0.5
 """Time in s to wait for all answers to a request while this node ends."""
 
 LONGEST_REASON = 200
-"""Number of characters after which the reason of another node is cut."""
+"""Number of characters after which the reason that a node gives for a refusal is cut off."""
 
 KILLED = 'the program that had set it was killed'
-"""Why values that are in the file of `FormerValues` at the start are restored."""
+"""Reason for restoring the values that the file of `FormerValues` contains at the start."""
 
 Requests = Generator[list[Any], list[Any], None]
-"""Yields the futures of requests to the node; it is resumed with all their answers."""
+"""Generator that yields the futures of requests to the node, and receives the answers."""
 
 
 @dataclass
 class Held:
-    """What is known about one parameter of the node; () stands for no value."""
+    """What is known about one parameter of the node ``push.node``; () means no value."""
 
     now: Numbers  # value when the parameter was last read or set
-    found: Numbers = ()  # value before this node set the parameter
-    sent: tuple[Numbers, ...] = ()  # values of this node that may be in the other node
-    refused: Numbers = ()  # value that the node refused last
+    found: Numbers = ()  # value that the parameter had before it was set
+    sent: tuple[Numbers, ...] = ()  # values sent to the node, of which it may have any
+    refused: Numbers = ()  # latest value that the node has refused
     origin: str = ''  # how the present value was computed
-    changed_by_others: bool = False  # whether the parameter is not set any more
+    changed_by_others: bool = False  # if so, the parameter is not set any more
 
 
 class ParameterPush(NodePart):
-    """Sets parameters of the node ``push.node`` whenever the noise model has changed enough.
+    """Sets parameters of the node ``push.node`` when the noise model has changed enough.
 
     The parameters ``push.*`` are declared in the node ``owner``. Without ``push.node``, nothing is
     set. Raises AllanError if the file of ``push.filter`` cannot be read.
@@ -104,7 +105,8 @@ class ParameterPush(NodePart):
         self._invalid = 'there is no noise model'  # why no value may be set, or ''
         self._reason = ''  # value of `_refusal` at the last update
         self._held: dict[str, Held] = {}
-        self._notes: dict[str, tuple[bool, str]] = {}  # '' or parameter -> is a warning, text
+        # parameter, or '' for the node -> (whether it is a warning, text)
+        self._notes: dict[str, tuple[bool, str]] = {}
         self._requests: Requests | None = None  # the generator that waits for `_answers`
         self._answers: list[Any] = []  # futures of the answers
         self._asked_at = self._due_at = 0.0
@@ -112,7 +114,7 @@ class ParameterPush(NodePart):
         self._was_killed = False  # whether values of an earlier program must be restored
         if target:
             self._set = owner.create_client(SetParameters, f'{target}/set_parameters')
-            # created last: a node that answers it has also discovered the other client
+            # created last: a node that answers this client has also discovered the other client
             self._get = owner.create_client(GetParameters, f'{target}/get_parameters')
 
     def offer(self, results: Results, bias: Mapping[str, Estimate]) -> None:
@@ -120,7 +122,7 @@ class ParameterPush(NodePart):
 
         Results without axes mean that the model is invalidated.
         """
-        # a fault without axes is missing data, after which the model is still valid
+        # a fault without axes means that data are missing; then the model is still valid
         faults = [fault for fault in faults_of(results.findings) if fault.axes]
         self._results, self._bias = results, bias
         self._invalid = '' if results.axes else 'the noise model was invalidated'
@@ -155,34 +157,34 @@ class ParameterPush(NodePart):
             if self._is_running():
                 self._resume(self._restoring(self._reason))
         elif not self._reason and self._results is not None:
-            ready = self._proposals(self._plan, self._results)
-            if ready and self._is_running():
+            proposals = self._proposals(self._plan, self._results)
+            if proposals and self._is_running():
                 self._due_at = now + self._settings.value.period
-                self._resume(self._setting(ready))
+                self._resume(self._setting(proposals))
 
     def statuses(self, now: float) -> list[DiagnosticStatus]:
         """Return the status of the parameters; no status without ``push.node``."""
         if self._plan is None:
             return []
         enabled = self._settings.value.enabled
-        # while nothing is set, notes about single parameters do not apply
+        # if push.enabled is false, notes about single parameters do not apply
         notes = {n: note for n, (_, note) in self._notes.items() if enabled or not n}
         problems = [f'{name}: {note}' if name else note for name, note in notes.items()]
-        done, pairs = [], {}
+        changes, pairs = [], {}
         for name, held in self._held.items():
             pairs[name] = text_of(held.now)
             if held.found:
                 pairs[f'former {name}'] = text_of(held.found)
                 pairs[f'origin of {name}'] = held.origin
                 if held.now != held.found:
-                    done.append(f'{name} = {text_of(held.now)} (was {text_of(held.found)})')
-        said = f'set {", ".join(done)}' if done else 'nothing set yet'
-        warned = any(warning for warning, _ in self._notes.values())
+                    changes.append(f'{name} = {text_of(held.now)} (was {text_of(held.found)})')
+        said = f'set {", ".join(changes)}' if changes else 'nothing set yet'
+        has_warning = any(warning for warning, _ in self._notes.values())
         for row in self._gains:
             pairs[f'{row.name} at rest, not set [{row.unit}]'] = text_of(row.values)
             pairs[f'origin of {row.name}'] = row.words
         status = DiagnosticStatus(
-            level=DiagnosticStatus.WARN if warned and enabled else DiagnosticStatus.OK,
+            level=DiagnosticStatus.WARN if has_warning and enabled else DiagnosticStatus.OK,
             name=status_name(self._owner, f'parameters of {self.node}'),
             message='; '.join([said if enabled else 'off: push.enabled is false', *problems]),
             values=key_values(pairs.items()),
@@ -210,7 +212,7 @@ class ParameterPush(NodePart):
             self._former.close()
 
     def _finish(self, executor: SingleThreadedExecutor) -> None:
-        """Wait for answers, at most for `CLOSING_S`, and continue the requests up to their end."""
+        """Wait for answers and send the requests that follow, for at most `CLOSING_S`."""
         deadline = time.monotonic() + CLOSING_S
         while not all(future.done() for future in self._answers):
             if (left := deadline - time.monotonic()) <= 0.0:
@@ -223,8 +225,8 @@ class ParameterPush(NodePart):
     # --- requests ---------------------------------------------------------------------------------
 
     def _resume(self, requests: Requests, answers: list[Any] | None = None) -> None:
-        """Continue with the answers, up to the next requests or the end."""
-        self._requests, self._answers = None, []  # first, because the generator may raise
+        """Continue ``requests`` with the answers, until it yields new futures or ends."""
+        self._requests, self._answers = None, []  # cleared first, because the generator may raise
         with suppress(StopIteration):
             self._answers = next(requests) if answers is None else requests.send(answers)
             self._requests, self._asked_at = requests, time.monotonic()
@@ -245,22 +247,23 @@ class ParameterPush(NodePart):
         return False
 
     def _read(self, names: Sequence[str]) -> list[Any]:
-        """Ask for the present values of parameters, one by one.
+        """Request the present value of each parameter with a separate request.
 
-        If one of several parameters is not declared, a node returns no value at all.
+        If a request names several parameters, and one of them is not declared, a node returns no
+        value at all.
         """
         requests = (GetParameters.Request(names=[name]) for name in names)
         return [self._get.call_async(request) for request in requests]
 
     def _write(self, values: Mapping[str, Numbers]) -> list[Any]:
-        """Ask to set parameters."""
+        """Send a request that sets parameters."""
         messages = [_message(name, numbers) for name, numbers in values.items()]
         return [self._set.call_async(SetParameters.Request(parameters=messages))]
 
     # --- setting ----------------------------------------------------------------------------------
 
     def _rows(self, plan: PushPlan, results: Results) -> tuple[Row, ...]:
-        """Return the rows of the target, with the factors in motion if these are known.
+        """Return the rows of the export target, with the factors in motion if these are known.
 
         A gain also covers the bias at rest, unless the driver removes the bias. Raises AllanError
         if the noise model or the bias is not complete.
@@ -287,30 +290,31 @@ class ParameterPush(NodePart):
             self._gains = tuple(row for row in rows if row.name in plan.rows)
             self._note('', GAINS_WAIT)
             return []
-        names = plan.rows
-        for missing in names.keys() - {row.name for row in rows}:
-            self._note(names[missing], f'{plan.target} has no number {missing}')
-        ready = []
+        parameter_names = plan.rows
+        for missing in parameter_names.keys() - {row.name for row in rows}:
+            self._note(parameter_names[missing], f'{plan.target} has no number {missing}')
+        proposals = []
         for row in rows:
-            name = names.get(row.name, '') if names else row.name
+            name = parameter_names.get(row.name, '') if parameter_names else row.name
             low, high = row.interval
             if name and row.ratio > SETTLED_RATIO:
-                known = f'between {low:.3g} and {high:.3g}' if row.ratio < math.inf else 'not known'
-                why = f'it is set when its 95 % interval is within a factor of {SETTLED_RATIO:g}'
-                self._note(name, f'is {known} yet; {why}', warning=False)
+                is_bounded = row.ratio < math.inf
+                interval = f'{low:.3g} to {high:.3g}' if is_bounded else 'not known yet'
+                why = f'the value is set when its ends are within a factor of {SETTLED_RATIO:g}'
+                self._note(name, f'the 95 % interval is {interval}; {why}', warning=False)
             elif name:
                 proposal = Proposal(name, row.values, row.interval, row.words, plan.has_gains)
                 held = self._held.get(name)
                 if held is None or (not held.changed_by_others and proposal.differs(held.refused)):
-                    ready.append(proposal)
-        return ready
+                    proposals.append(proposal)
+        return proposals
 
     def _setting(self, proposals: list[Proposal]) -> Requests:
         """Read the present values of the node, and set those that differ from the proposals."""
         answers = yield self._read([proposal.name for proposal in proposals])
-        if self._refusal:  # it may have appeared since the request was sent
+        if self._refusal:  # a reason may have appeared since the request was sent
             return
-        wanted: list[Proposal] = []
+        accepted_proposals: list[Proposal] = []
         for proposal, answer in zip(proposals, answers):
             name, values = proposal.name, self._numbers_of(proposal.name, answer.values)
             if values is None:
@@ -332,14 +336,14 @@ class ParameterPush(NodePart):
             if proposal.differs(values):
                 held.sent = (proposal.values,) if values == found else (values, proposal.values)
                 held.found = found
-                wanted.append(proposal)
-        if not wanted:
+                accepted_proposals.append(proposal)
+        if not accepted_proposals:
             return
         if not self._store():
             self._forget_unsent()
             return
-        (answer,) = yield self._write({p.name: p.values for p in wanted})
-        for proposal, result in zip(wanted, answer.results):
+        (answer,) = yield self._write({p.name: p.values for p in accepted_proposals})
+        for proposal, result in zip(accepted_proposals, answer.results):
             name, value, held = proposal.name, text_of(proposal.values), self._held[proposal.name]
             if not result.successful:
                 held.refused = proposal.values
@@ -362,13 +366,16 @@ class ParameterPush(NodePart):
             return (value.double_value,)
         if value.type == ParameterType.PARAMETER_DOUBLE_ARRAY:
             return tuple(value.double_array_value)
-        unset = value.type == ParameterType.PARAMETER_NOT_SET
-        what = 'not declared' if unset else 'of another type'
-        self._note(name, f'is {what} in {self.node}: doubles would be set')
+        is_undeclared = value.type == ParameterType.PARAMETER_NOT_SET
+        what = 'not declared' if is_undeclared else 'of another type'
+        self._note(name, f'is {what} in {self.node}: only doubles can be set')
         return None
 
     def _note(self, name: str, note: str, warning: bool = True) -> None:
-        """Store a message about a parameter ('' for the node), and log the first of its kind."""
+        """Store a note about a parameter, or about the node if ``name`` is ''.
+
+        The note is logged, unless the previous note with this name has the same severity.
+        """
         if name not in self._notes or self._notes[name][0] != warning:
             self._log.info(f'{name}: {note}' if name else note)
         self._notes[name] = warning, note
@@ -411,39 +418,45 @@ class ParameterPush(NodePart):
         return {name: held.found for name, held in self._held.items() if held.found}
 
     def _restoring(self, reason: str) -> Requests:
-        """Set the found values, except of parameters that someone else has changed since."""
-        found, unchanged = self._found(), {}
+        """Set the found values again, except for parameters that someone else has changed since."""
+        found, former_values = self._found(), {}
         answers = yield self._read([*found])
         for name, answer in zip(found, answers):
             values = self._numbers_of(name, answer.values)
             held = self._held[name]
             if values in held.sent:
-                unchanged[name] = found[name]
+                former_values[name] = found[name]
             elif values in (None, held.found) or self._was_killed:  # the node was restarted
                 del self._held[name]
             else:
                 self._leave(name, values)
-        failed = {}
-        if unchanged:
-            (answer,) = yield self._write(unchanged)
-            results = zip(unchanged, answer.results)
-            failed = {n: _reason_of(result) for n, result in results if not result.successful}
-            done = {n: text_of(values) for n, values in unchanged.items() if n not in failed}
-            said = ', '.join(f'{name} = {value}' for name, value in done.items())
-            if done:
+        refusals = {}
+        if former_values:
+            (answer,) = yield self._write(former_values)
+            results = zip(former_values, answer.results)
+            refusals = {n: _reason_of(result) for n, result in results if not result.successful}
+            restored_values = {
+                n: text_of(values) for n, values in former_values.items() if n not in refusals
+            }
+            said = ', '.join(f'{name} = {value}' for name, value in restored_values.items())
+            if restored_values:
                 self._note('', f'restored {said}, because {reason}')
-            for name in done:
+            for name in restored_values:
                 del self._held[name]
-        for name, why in failed.items():
-            self._note(name, f'{self.node} refused the former {text_of(unchanged[name])}: {why}')
+        for name, why in refusals.items():
+            self._note(
+                name, f'{self.node} refused the former {text_of(former_values[name])}: {why}'
+            )
         self._notes = {n: note for n, note in self._notes.items() if not n or n in self._held}
-        self._was_killed = self._was_killed and bool(failed)
+        self._was_killed = self._was_killed and bool(refusals)
         self._store()
 
     def _leave(self, name: str, values: Numbers) -> None:
         """Note that someone else has changed a parameter, which is not set any more."""
         self._held[name] = Held(values, changed_by_others=True)
-        self._note(name, f'was changed to {text_of(values)}, and is left so')
+        self._note(
+            name, f'was changed to {text_of(values)} by someone else, and is not set any more'
+        )
 
 
 def _message(name: str, values: Numbers) -> ParameterMessage:
@@ -452,7 +465,7 @@ def _message(name: str, values: Numbers) -> ParameterMessage:
 
 
 def _reason_of(result: Any) -> str:
-    """Return the reason of another node for a refusal, cut and without control characters."""
+    """Return the reason that a node gives for a refusal, cut off and without control characters."""
     reason = one_line(result.reason)
     cut = f'{reason[:LONGEST_REASON]} ...' if len(reason) > LONGEST_REASON else reason
     return cut or 'no reason'

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Plan of which parameters of another node are set to which numbers, and the limits of a number."""
+"""Defines which parameters of another node are set to which numbers, and when they are not set."""
 
 from __future__ import annotations
 
@@ -17,15 +17,16 @@ from ..readers.files import config_file, read_yaml
 
 SCHEMA = 'allan_ros/push/1'
 
-GAINS = {'imu_filter_madgwick': ('gain',)}  # in rad/s; zeta only matters with a magnetometer
+# the gain is in rad/s; zeta has no effect without a magnetometer
+GAINS = {'imu_filter_madgwick': ('gain',)}
 """Export target -> its rows that are gains of a state estimator without a bias state. A gain has to
 cover the errors of the gyro in motion. Without a factor in motion, the gain is shown in the status,
 but not set."""
 
 RAISED = 2.0
-"""A gain is raised if the gain that covers the errors of the gyro in motion is larger by more than
-this factor. A gain is never lowered, because a large gain may be needed for other reasons, such as
-fast convergence, and a lower gain makes the tilt worse at rest."""
+"""Smallest ratio at which a gain is raised: the gain that covers the errors of the gyro in motion,
+divided by the gain in the node. A gain is never lowered, because a large gain may be needed for
+other reasons, such as fast convergence, and a lower gain makes the tilt worse at rest."""
 
 PUSHED_TARGETS = (*GAINS, 'kalibr', 'fast_lio')
 """Export targets that ``push.filter`` may name: gains, densities N and K (kalibr), and N^2 f and
@@ -36,7 +37,7 @@ GAINS_WAIT = (
     f'{LEAST_DRIVES} times for {LEAST_DRIVE_S:g} to {LONGEST_DRIVE_S:g} s between rests of at '
     f'least {LEAST_STOP_S:g} s (status "in motion")'
 )
-"""Message of the status for a plan of `GAINS`: what is missing, and what to do."""
+"""Message of the status while no gain can be set: what is missing, and what to do."""
 
 CHANGE = 0.1
 """Fraction by which a value must have changed before it is set again."""
@@ -50,7 +51,7 @@ class PushPlan:
     """Which rows of which export target are set, and as which parameters."""
 
     target: str
-    names: Mapping[str, str]  # name of a row -> name of the parameter; empty for all rows
+    names: Mapping[str, str]  # name of a row -> parameter; see `rows`
     options: ExportOptions
 
     @property
@@ -60,7 +61,7 @@ class PushPlan:
 
     @property
     def rows(self) -> Mapping[str, str]:
-        """Name of a row -> name of the parameter; empty for all rows."""
+        """Name of a row -> name of the parameter; empty if all rows are set under their names."""
         return {row: self.names.get(row, row) for row in GAINS.get(self.target, self.names)}
 
 
@@ -91,7 +92,7 @@ def load_plan(name: str) -> PushPlan:
 
 @dataclass(frozen=True)
 class Proposal:
-    """A proposed value of a parameter: one number, or three.
+    """A proposed value of the parameter ``name``: one number, or three.
 
     ``interval`` is the 95 % interval of the value, and ``origin`` tells how the value was computed.
     """
@@ -103,13 +104,13 @@ class Proposal:
     is_gain: bool = False
 
     def differs(self, other: Numbers) -> bool:
-        """Return whether a number differs by more than `CHANGE` from the one in ``other``."""
+        """Return whether a number differs from the number in ``other`` by more than `CHANGE`."""
         if len(other) != len(self.values):
             return True
         return not all(abs(v - c) <= CHANGE * abs(c) for v, c in zip(self.values, other))
 
     def keeps(self, found: Numbers) -> str:
-        """Return why the found value is kept; '' if this value is to replace it."""
+        """Return why a gain in the node is kept; '' if this value is to replace the gain."""
         if not self.is_gain or len(found) != 1 or not self.values[0] <= RAISED * found[0]:
             return ''
         return (
@@ -118,12 +119,14 @@ class Proposal:
         )
 
     def refusal(self, found: Numbers, factor: float) -> str:
-        """Return why this value must not replace the found value; '' if it may."""
+        """Return why this value must not replace the found value; '' if replacing is allowed."""
         if len(found) != len(self.values):
-            return f'has {len(found)} numbers in the node, the model gives {len(self.values)}'
+            return f'has {len(found)} numbers in the node, but the model gives {len(self.values)}'
         for value, before in zip(self.values, found):
             if not (0.0 < before < math.inf and 0.0 < value < math.inf):
-                return f'is {before:.4g} in the node and stays so; the model gives {value:.4g}'
+                return (
+                    f'is {before:.4g} in the node and is not changed; the model gives {value:.4g}'
+                )
             if not 1.0 / factor <= value / before <= factor:
                 large, small = max(value, before), min(value, before)
                 return (

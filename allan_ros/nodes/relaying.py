@@ -79,7 +79,7 @@ RECEIVED, FILLED, PASSED, MALFORMED, UNPUBLISHED = COUNTS = (
 
 
 def relay_variances(results: Results, settings: RelaySettings, rate: float) -> dict[str, Variances]:
-    """Return the variances of the axes of each sensor, in (rad/s)^2 or (m/s^2)^2.
+    """Return the variances of a sample of each axis, by sensor, in (rad/s)^2 or (m/s^2)^2.
 
     ``rate`` is the sample rate in Hz. The variances do not cover the bias.
     """
@@ -90,26 +90,31 @@ def relay_variances(results: Results, settings: RelaySettings, rate: float) -> d
 def cover_bias(
     variances: dict[str, Variances], bias: Mapping[str, Estimate], messages: float
 ) -> dict[str, Variances]:
-    """Return the variances; each variance of the gyro is raised to cover the bias, too.
+    """Return the variances, with the variances of the gyro increased so that they cover the bias.
 
-    The integral of the samples over a number of ``messages`` then has the variance of noise and
-    bias together. ``bias`` is axis -> known bias at rest in SI; an unknown bias is taken as 0. The
-    bias of an accelerometer is unknown, because it cannot be distinguished from gravity.
+    ``messages`` is the number of samples that a state estimator integrates. The variance that it
+    computes for the integral then covers the error due to noise and bias. ``bias`` is axis -> bias
+    at rest in SI for each axis with a known bias; an unknown bias is taken as 0. The bias of an
+    accelerometer is unknown, because it cannot be distinguished from gravity.
     """
     if 'gyro' not in variances:
         return variances
-    none = Estimate.normal(0.0, 0.0)
-    known = (bias.get(axis, none) for axis in AXES[SENSORS['gyro']])
-    added = (max(1.0, messages) * ((one.value or 0.0) ** 2 + one.std**2) for one in known)
-    x, y, z = (noise + more for noise, more in zip(variances['gyro'], added))
+    no_bias = Estimate.normal(0.0, 0.0)
+    biases = (bias.get(axis, no_bias) for axis in AXES[SENSORS['gyro']])
+    bias_variances = (
+        max(1.0, messages) * ((axis_bias.value or 0.0) ** 2 + axis_bias.std**2)
+        for axis_bias in biases
+    )
+    x, y, z = (noise + extra for noise, extra in zip(variances['gyro'], bias_variances))
     return {**variances, 'gyro': (x, y, z)}
 
 
 def in_motion(variances: dict[str, Variances], results: Results) -> dict[str, Variances]:
-    """Return the variances multiplied by the squares of the factors in motion of both sensors.
+    """Return the variances multiplied by the squared factor in motion of each sensor.
 
-    Without factors in motion, or while the IMU is at rest, the variances are returned unchanged. A
-    factor below 1 is taken as 1.
+    This factor is the error in motion divided by its prediction from the noise at rest. A factor
+    below 1 is taken as 1. Without such factors, or while the IMU is at rest, the variances are
+    returned unchanged.
     """
     motion = results.motion
     if motion is None or not any(f.id == 'moving_now' for f in results.findings):
@@ -121,7 +126,7 @@ def in_motion(variances: dict[str, Variances], results: Results) -> dict[str, Va
 def scaled_variances(
     variances: dict[str, Variances], ratios: Mapping[str, float]
 ) -> dict[str, Variances]:
-    """Return each variance multiplied by the square of the ratio of its axis, by default 1."""
+    """Return each variance times the squared ratio of its axis; a missing ratio is taken as 1."""
     out = dict(variances)
     for sensor, values in variances.items():
         x, y, z = (
@@ -132,9 +137,10 @@ def scaled_variances(
 
 
 def bias_in_model(results: Results) -> dict[str, Estimate]:
-    """Return axis -> mean of the samples at rest in SI, with its scatter between recordings.
+    """Return axis -> bias in SI: the mean of the samples at rest that the noise model contains.
 
-    This bias is used until the bias since the start of the node is known.
+    The standard deviation of the bias is its scatter between recordings. This bias is used until
+    the bias since the start of the node is known.
     """
     return {
         name: Estimate.normal(
@@ -148,8 +154,8 @@ def bias_in_model(results: Results) -> dict[str, Estimate]:
 class ModelInput:
     """Receives the topics ``noise_model`` and ``bias`` of an estimator in another process.
 
-    Once there is a noise model, ``listener`` is called with the latest noise model and bias after
-    each message.
+    After each message, ``listener`` is called with the latest noise model and the latest bias,
+    unless no noise model has been received yet.
     """
 
     def __init__(self, node: AllanNode) -> None:
@@ -168,10 +174,10 @@ class ModelInput:
         return str(self._model.topic_name)
 
     def findings(self, now: float) -> list[Finding]:
-        """Return findings about a noise model that cannot be read, or a missing publisher."""
+        """Return findings: the noise model cannot be read, or no node publishes a noise model."""
         found = [self._unreadable] if self._unreadable else []
-        waited = now - self._began > DISCOVERY_S
-        if self._results is None and waited and not self._node.count_publishers(self.topic):
+        has_waited = now - self._began > DISCOVERY_S
+        if self._results is None and has_waited and not self._node.count_publishers(self.topic):
             found.append(finding('relay_without_model', topic=self.topic))
         return found
 
@@ -195,11 +201,14 @@ class ModelInput:
 class ImuRelay(NodePart):
     """Republishes the messages of one IMU on ``<topic>_with_covariance``, with covariances.
 
-    The covariances are computed from the noise model that `offer` receives. For a sensor that the
-    model does not contain, they are computed from the datasheet ``estimator.sensor``, and cover the
-    mean angular rate so far until the bias is known. ``model_topic`` is the topic of the noise
-    model, and ``input_findings`` returns the findings about its messages. Raises AllanError if
-    input and output have the same name after remapping, or the datasheet cannot be read.
+    The covariances are computed from the noise model that `offer` receives. If the model does not
+    contain a sensor, the covariance of this sensor is computed from the datasheet
+    ``estimator.sensor``. With a datasheet, the mean angular rate is regarded as the bias of the
+    gyro until the bias is known.
+
+    ``model_topic`` is the topic of the noise model, and ``input_findings`` returns the findings
+    about the messages on this topic. Raises AllanError if the input topic and the output topic have
+    the same name after remapping, or if the datasheet cannot be read.
     """
 
     def __init__(
@@ -221,14 +230,14 @@ class ImuRelay(NodePart):
         self._results: Results | None = None
         self._bias: Mapping[str, Estimate] = {}
         self._variances: dict[str, Variances] = {}  # variances that are filled in
-        self._from_datasheet: tuple[str, ...] = ()  # sensors with variances of the datasheet
+        self._from_datasheet: tuple[str, ...] = ()  # sensors with variances from the datasheet
         self._first = FirstMessages()
         self._latest: bytes | None = None  # the latest message
         self._patch = CovariancePatch({})
-        self._made_of: tuple[object, ...] = ()
+        self._made_of: tuple[object, ...] = ()  # inputs from which the patch was made
         self._measured: dict[str, Variances] = {}  # variances that do not cover the bias
-        self._measured_of: tuple[object, ...] = None, None
-        self._ratio = 1.0  # upper to lower end of the interval of N; 1 without a horizon
+        self._measured_of: tuple[object, ...] = None, None  # inputs of these variances
+        self._ratio = 1.0  # upper / lower end of the interval of N; 1 without a horizon
         self._last_malformed = self._last_frame = ''
         overriding = QoSOverridingOptions.with_default_policies()
         self._publisher = node.create_publisher(
@@ -277,37 +286,42 @@ class ImuRelay(NodePart):
         if self._datasheet is not None:
             self._first.update(self._counts[RECEIVED], self._latest)
         first = self._first.rate_hz, self._first.bias
-        made_of = self._results, self._settings.value, self._bias, *first
-        if self._made_of and all(map(operator.is_, made_of, self._made_of)):
+        inputs = self._results, self._settings.value, self._bias, *first
+        if self._made_of and all(map(operator.is_, inputs, self._made_of)):
             return
-        self._made_of = made_of
-        results, settings, bias, rate, first_bias = made_of
-        noise: dict[str, Variances] = {}
+        self._made_of = inputs
+        results, settings, bias, rate, first_bias = inputs
+        variances: dict[str, Variances] = {}
         if self._datasheet is not None:
-            noise = relay_variances(self._datasheet, settings, rate)
-        stated, frame_id = set(noise), ''
+            variances = relay_variances(self._datasheet, settings, rate)
+        datasheet_sensors, frame_id = set(variances), ''
         if results is not None:
             frame_id, rate = results.identity.frame_id, results.rate_hz
-            measured = self._measured_variances(results, settings)
-            faulty = {sensor_of(axis) for f in faults_of(results.findings) for axis in f.axes}
-            noise = {s: v for s, v in {**noise, **measured}.items() if s not in faulty}
-            stated = noise.keys() - measured.keys()
+            model_variances = self._measured_variances(results, settings)
+            faulty_sensors = {
+                sensor_of(axis) for f in faults_of(results.findings) for axis in f.axes
+            }
+            variances = {
+                s: v for s, v in {**variances, **model_variances}.items() if s not in faulty_sensors
+            }
+            datasheet_sensors = variances.keys() - model_variances.keys()
             bias = {**bias_in_model(results), **bias}
-            noise = scaled_variances(noise, noise_ratios(results.findings))
+            variances = scaled_variances(variances, noise_ratios(results.findings))
             if settings.motion:
-                noise = in_motion(noise, results)
+                variances = in_motion(variances, results)
         if not settings.debiased:
-            noise = cover_bias(noise, {**first_bias, **bias}, settings.horizon * rate)
-        self._variances, self._from_datasheet = noise, tuple(s for s in SENSORS if s in stated)
-        self._patch = CovariancePatch(noise, settings.overwrite, frame_id)
+            variances = cover_bias(variances, {**first_bias, **bias}, settings.horizon * rate)
+        self._variances = variances
+        self._from_datasheet = tuple(s for s in SENSORS if s in datasheet_sensors)
+        self._patch = CovariancePatch(variances, settings.overwrite, frame_id)
 
     def _measured_variances(
         self, results: Results, settings: RelaySettings
     ) -> dict[str, Variances]:
-        """Return the variances of a noise model, which are computed once for each model."""
-        measured_of = results.axes, settings
-        if not all(map(operator.is_, measured_of, self._measured_of)):
-            self._measured_of, self._ratio = measured_of, 1.0
+        """Return the variances of a noise model, computed once for each model and settings."""
+        inputs = results.axes, settings
+        if not all(map(operator.is_, inputs, self._measured_of)):
+            self._measured_of, self._ratio = inputs, 1.0
             self._measured = relay_variances(results, settings, results.rate_hz)
             if settings.horizon:
                 fits = {name: axis.fit for name, axis in results.axes.items()}
@@ -347,7 +361,7 @@ class ImuRelay(NodePart):
     # --- the messages -----------------------------------------------------------------------------
 
     def _relay(self, payload: bytes, _info: Any = None) -> None:
-        """Publish one message with the known covariances filled in."""
+        """Publish one message, with covariances filled in if these are known."""
         counts = self._counts
         counts[RECEIVED] += 1
         self._latest = payload
@@ -419,7 +433,7 @@ class ImuRelay(NodePart):
         return finding('relay_zeros' if self._zeros() else 'relay_waits', topic=topic)
 
     def _zeros(self) -> list[str]:
-        """Return the sensors that have a covariance of zeros in the latest published message."""
+        """Return the sensors whose covariance in the latest published message is all zeros."""
         latest = self._latest
         if latest is None:
             return []
@@ -430,7 +444,7 @@ class ImuRelay(NodePart):
             return []
 
     def _findings(self, now: float) -> list[Finding]:
-        """Return the present problems; a cause comes before its effects."""
+        """Return findings about the present problems; a cause precedes its effects."""
         counts, results, found = self._counts, self._results, self._input_findings(now)
 
         def add(id: str, count: int, **values: Any) -> None:
@@ -440,8 +454,8 @@ class ImuRelay(NodePart):
         sink = self._publisher.topic_name
         publishers = self._node.get_publishers_info_by_topic(sink)
         names = ', '.join(sorted(map(full_name, publishers)))
-        several = len(publishers) if len(publishers) > 1 else 0
-        add('relay_several_publishers', several, topic=sink, names=names)
+        rival_publishers = len(publishers) if len(publishers) > 1 else 0
+        add('relay_several_publishers', rival_publishers, topic=sink, names=names)
         if self._from_datasheet:
             sensors = ' and '.join(self._from_datasheet)
             found.append(finding('relay_datasheet', sensors=sensors))
@@ -450,14 +464,14 @@ class ImuRelay(NodePart):
         if results is not None:
             faults = faults_of(results.findings)
             found += faults
-            known = {sensor_of(axis) for axis in results.axes}
+            model_sensors = {sensor_of(axis) for axis in results.axes}
             if self._ratio > SETTLED_RATIO:
                 horizon = self._settings.value.horizon
                 ratio = self._ratio if self._ratio < math.inf else None
                 found.append(finding('relay_unsettled', (), horizon=horizon, ratio=ratio))
             if not faults:
                 for sensor in SENSORS:
-                    if sensor in known - self._variances.keys():
+                    if sensor in model_sensors - self._variances.keys():
                         found.append(finding('relay_nothing_to_fill', sensor=sensor))
             expected = results.identity.frame_id
             add('relay_other_frame', self._other_frame, found=self._last_frame, expected=expected)

@@ -29,16 +29,16 @@ from ..core.errors import AllanError, one_line
 T = TypeVar('T')
 
 _TRIM = getattr(ctypes.CDLL(None), 'malloc_trim', None) if sys.platform == 'linux' else None
-"""Function of glibc that returns free heap memory to the system, else None. A fit leaves about
-20 MB of free blocks below memory that is still in use."""
+"""Function of glibc that returns free heap memory to the system; None without glibc. A fit leaves
+about 20 MB of free blocks below memory that is still in use."""
 
 STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-"""QoS of sums and noise model: reliable, and a late subscriber receives the last message."""
+"""QoS of sums, noise model and bias: reliable, and a late subscriber gets the last message."""
 
 STEADY_CLOCK = Clock(clock_type=ClockType.STEADY_TIME)
-"""Clock of all timers. It runs on while ``/clock`` is paused or the system time is changed."""
+"""Clock of all timers. It continues while ``/clock`` is paused or the system time is changed."""
 
 
 class Worker:
@@ -77,18 +77,20 @@ def run(
     The exit code is 0, or 1 if the node cannot start (invalid parameters, a missing file); the
     reason is then logged in one line.
 
-    ``make_node`` returns the node. Its arguments are an event that stops the node when it is set,
-    and the options that ``parser`` finds in the command line ``args`` (None: ``sys.argv``) without
-    ROS arguments. The node needs a timer, because signals are handled when the executor wakes. Its
-    method ``close()`` is called once before it is destroyed. If it has a method
-    ``fault(where, error)``, exceptions of its callbacks are passed there, and the node continues.
+    ``make_node`` returns the node. Its arguments are an event and the options of the command line.
+    Setting the event stops the node. The options are what ``parser`` finds in ``args`` without ROS
+    arguments; if ``args`` is None, ``sys.argv`` is parsed. The node needs a timer, because signals
+    are handled when the executor wakes. The method ``close()`` of the node is called once before
+    the node is destroyed. If the node has a method ``fault(where, error)``, exceptions of callbacks
+    are passed to this method, and the node continues.
     """
     argv = sys.argv if args is None else [name, *args]
     stop = Event()
     try:
         options = parser.parse_args(remove_ros_args(list(argv))[1:])
         # Python's default handler would raise KeyboardInterrupt in the middle of an update or while
-        # a checkpoint is written. The handler of rclpy would end the context before the node ends.
+        # a checkpoint is written. The handler of rclpy would shut down the context before the
+        # node is closed.
         for number in STOP_SIGNALS:
             signal.signal(number, lambda *_: stop.set())
         rclpy.init(args=list(argv), signal_handler_options=SignalHandlerOptions.NO)

@@ -18,13 +18,15 @@ from .shell import LATCHED
 class SumsOutput:
     """Publishes snapshots of the sums on ``<home>sums``, and passes them to listeners.
 
+    ``home`` is the prefix of the topic, such as ``~/``.
+
     Attributes
     ----------
     latest : Snapshot or None
-        The latest snapshot of this input alone.
+        The latest snapshot of this input, without an accelerometer that has its own topic.
     state : object
-        The state of the input at the latest snapshot. If the present state of the input differs,
-        the estimator must receive a new snapshot at once.
+        The state of the input at the latest snapshot. If the present state of the input differs
+        from it, the estimator must receive a new snapshot at once.
     """
 
     def __init__(self, node: Node, home: str) -> None:
@@ -36,7 +38,7 @@ class SumsOutput:
 
     @property
     def topic(self) -> str:
-        """Full name of the topic."""
+        """Full name of the topic of the sums."""
         return str(self._publisher.topic_name)
 
     @property
@@ -54,9 +56,10 @@ class SumsOutput:
         return self._subscribers > before
 
     def put(self, snapshot: Snapshot, state: object, accel: Snapshot | None) -> None:
-        """Publish a snapshot, united with the accelerometer of another topic if there is one.
+        """Publish a snapshot, extended by the snapshot ``accel`` of an accelerometer, if given.
 
-        A JSON document is written only if there is a subscriber.
+        ``state`` is the state of the input at this snapshot. A JSON document is written only if
+        there is a subscriber.
         """
         self.latest, self.state = snapshot, state
         united = snapshot if accel is None else snapshot.with_accel(accel)

@@ -43,18 +43,19 @@ SETTLE_S, DISCOVERY_WAIT_S = 1.5, 3.5
 start until every node is discovered. Fast DDS announces a process every 3 s."""
 
 OWN_TOPICS = ('sums', 'noise_model')
-"""Topics below the name of a node. A node with one of these topics is an allan_ros node."""
+"""Topics in the namespace of a node, by which an allan_ros node is recognized."""
 
 PATIENCE_S, NOBODY_S = 10.0, 6.5
-"""Time in s for which ``--once`` waits for the first status: if a node publishes on `TOPIC`, and if
-no such node was discovered. Fast DDS announces a process every 3 s, and a busy computer may lose
-one announcement."""
+"""Times in s for which ``--once`` waits for the first status: the first time if a node publishes on
+`TOPIC`, the second time if no such node was discovered. Fast DDS announces a process every 3 s, and
+a busy computer may lose one announcement."""
 
 HINT_S = 8.0
-"""Time in s without a status after which the hint is shown. Nodes need some seconds to start."""
+"""Time in s without a status after which the user is told what to check. A node needs some seconds
+to start."""
 
 EXIT_LEVEL = {'ok': 0, 'WARN': 3, 'STALE': 4, 'ERROR': 4}
-"""Exit code of ``--check`` by the most severe level."""
+"""Most severe level of all statuses -> exit code of ``--check``."""
 
 EXIT_NO_STATUS = 1
 """Exit code: no status was received."""
@@ -73,11 +74,11 @@ LEVEL_WORDS = {
     DiagnosticStatus.WARN: 'WARN',
     DiagnosticStatus.ERROR: 'ERROR',
 }
-"""Level of a status -> its text in the displays."""
+"""Level of a status -> word that is shown for it."""
 
 STYLES = {'ERROR': 'bold reverse', 'STALE': 'bold magenta', 'WARN': 'black on yellow', 'ok': 'cyan'}
-"""Level -> style of rich, in the order of the table. STALE comes early, because a node that stopped
-publishing may have an error. The styles also differ without color."""
+"""Level -> style of rich, in the order of the rows of a table. STALE precedes WARN, because a node
+that stopped publishing may have an error. The styles also differ without color."""
 
 STALE_S = 5.0
 """Age in s from which a status is shown as stale; nodes publish each status once a second."""
@@ -107,7 +108,7 @@ class StatusRow:
 
 
 def row(status: DiagnosticStatus, age_s: float) -> StatusRow:
-    """Convert a status that was received ``age_s`` seconds ago; control characters are escaped."""
+    """Return a status that was received ``age_s`` ago as a row; control characters are escaped."""
     values = {one_line(v.key): one_line(v.value) for v in status.values}
     node, _, name = one_line(status.name).rpartition(': ')
     level = 'STALE' if age_s > STALE_S else LEVEL_WORDS.get(status.level, 'STALE')
@@ -133,7 +134,7 @@ def plain_line(row: StatusRow) -> str:
 
 
 def picture(rows: Sequence[StatusRow]) -> RenderableType:
-    """Return a table for rich."""
+    """Return the statuses as a table of rich."""
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
     from rich.text import Text
@@ -145,10 +146,10 @@ def picture(rows: Sequence[StatusRow]) -> RenderableType:
     table.add_column('status', overflow='fold', ratio=2)
     table.add_column('message and next step', overflow='fold', ratio=5)
     for r in rows:
-        said = Text(r.message)
+        message = Text(r.message)
         if r.age:
-            said = Text.assemble((f'silent for {r.age}; last: ', 'bold'), said)
-        table.add_row(Text(r.level, style=STYLES[r.level]), Text(r.title), said)
+            message = Text.assemble((f'silent for {r.age}; last: ', 'bold'), message)
+        table.add_row(Text(r.level, style=STYLES[r.level]), Text(r.title), message)
     return table
 
 
@@ -158,14 +159,14 @@ def document(rows: Sequence[StatusRow]) -> str:
 
 
 class Watch(Node):
-    """Keeps the latest status of each name and displays it."""
+    """Node that displays the latest status of each name on `/diagnostics`."""
 
     def __init__(self, options: argparse.Namespace, stop: threading.Event) -> None:
         super().__init__('allan_watch')
         self._options, self._stop = options, stop
         self._latest: dict[str, tuple[float, DiagnosticStatus]] = {}
         self._wanted = f'/{options.node.strip("/")}/' if options.node.strip('/') else ''
-        self._levels: dict[tuple[str, str], str] = {}  # level in the last line of each status
+        self._levels: dict[tuple[str, str], str] = {}  # last printed level of each status
         self._hinted = False
         self._final: list[StatusRow] = []  # rows when the node was closed
         self._console = None if options.json or options.plain else terminal()
@@ -186,10 +187,10 @@ class Watch(Node):
         self.create_timer(REFRESH_S, self._refresh, clock=STEADY_CLOCK)
 
     def exit_code(self) -> int:
-        """Return the exit code; it is known after `close`.
+        """Return the exit code, which is known after `close`.
 
-        It is `EXIT_NO_STATUS` without a status. With ``--check`` it follows from the most severe
-        level (`EXIT_LEVEL`), else it is 0.
+        The code is `EXIT_NO_STATUS` if no status was received. Otherwise, it is 0 or, with
+        ``--check``, the code of the most severe level (`EXIT_LEVEL`).
         """
         rows = self._final
         if not rows:
@@ -197,7 +198,7 @@ class Watch(Node):
         return max(EXIT_LEVEL[row.level] for row in rows) if self._options.check else 0
 
     def close(self) -> None:
-        """Show the final state, and stop serving the page."""
+        """Show the final state, and stop the server of the live page."""
         rows = self._final = self._rows()
         if self._live:
             self._show(self._hint())
@@ -217,10 +218,10 @@ class Watch(Node):
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         now = time.monotonic()
         for status in message.status:
-            # the keys show a status of an allan_ros node that was renamed
+            # these keys identify the statuses of an allan_ros node that was renamed
             has_own_keys = {'static data [s]', 'segments'} <= {v.key for v in status.values}
-            node = f'/{status.name.partition(":")[0].strip("/")}/'
-            if self._wanted and not node.startswith(self._wanted):
+            node_prefix = f'/{status.name.partition(":")[0].strip("/")}/'
+            if self._wanted and not node_prefix.startswith(self._wanted):
                 continue
             if 'allan' in status.name or has_own_keys:
                 self._latest[status.name] = now, status
@@ -231,20 +232,26 @@ class Watch(Node):
         if self._page is not None:
             self._page.discover()
         if self._options.once:
-            settled = self._first is not None and now - self._first >= SETTLE_S
+            is_settled = self._first is not None and now - self._first >= SETTLE_S
             publishers = self.count_publishers(TOPIC)
             patience = self._options.seconds or (PATIENCE_S if publishers else NOBODY_S)
-            settled = settled and now - self._began >= DISCOVERY_WAIT_S and not self._missing()
-            done = settled or now - self._began >= patience
+            is_settled = (
+                is_settled and now - self._began >= DISCOVERY_WAIT_S and not self._missing()
+            )
+            is_done = is_settled or now - self._began >= patience
         else:
-            silent = not self._latest and now - self._began >= HINT_S
-            self._show(self._hint() if silent else '')
-            done = 0.0 < self._options.seconds <= now - self._began
-        if done:
+            has_no_status = not self._latest and now - self._began >= HINT_S
+            self._show(self._hint() if has_no_status else '')
+            is_done = 0.0 < self._options.seconds <= now - self._began
+        if is_done:
             self._stop.set()
 
     def _show(self, hint: str) -> None:
-        """Draw the table, or print new statuses and changed levels; without a status, the hint."""
+        """Show the latest statuses, or ``hint`` if there is none.
+
+        In a terminal, the table is drawn again. Otherwise, each new status and each status whose
+        level has changed is printed.
+        """
         rows = self._rows()
         if self._live:
             self._live.update(picture(rows) if rows else hint or 'listening ...', refresh=True)
@@ -261,39 +268,44 @@ class Watch(Node):
         now = time.monotonic()
         rows = [row(status, now - at) for at, status in self._latest.values()]
         if self._options.once and rows:
-            said = 'runs, but publishes no status'
-            silent = (name.strip('/') for name in self._missing())
-            rows += [StatusRow('STALE', name, 'node', said, now - self._began) for name in silent]
+            message = 'runs, but publishes no status'
+            silent_nodes = (name.strip('/') for name in self._missing())
+            rows += [
+                StatusRow('STALE', name, 'node', message, now - self._began)
+                for name in silent_nodes
+            ]
         return most_severe_first(rows)
 
     def _missing(self) -> list[str]:
         """Return the full names of allan_ros nodes on `TOPIC` from which no status was received."""
-        heard = {name.partition(':')[0].strip('/') for name in self._latest}
+        heard_nodes = {name.partition(':')[0].strip('/') for name in self._latest}
         topics = [name for name, _ in self.get_topic_names_and_types()]
-        missing = []
+        missing_nodes = []
         for publisher in self.get_publishers_info_by_topic(TOPIC):
             name = f'{publisher.node_namespace.rstrip("/")}/{publisher.node_name}'
             has_own_topic = any(t.startswith(f'{name}/') and t.endswith(OWN_TOPICS) for t in topics)
             is_wanted = f'{name}/'.startswith(self._wanted)
-            is_ours = has_own_topic or publisher.node_name.startswith('allan_')
-            if is_wanted and is_ours and name.strip('/') not in heard:
-                missing.append(name)
-        return missing
+            is_allan_node = has_own_topic or publisher.node_name.startswith('allan_')
+            if is_wanted and is_allan_node and name.strip('/') not in heard_nodes:
+                missing_nodes.append(name)
+        return missing_nodes
 
     def _hint(self) -> str:
         """Return a text that explains what to check if no status is received."""
         count = len(self.get_publishers_info_by_topic(TOPIC))
         others = f' (other nodes: {count})' if count else ''
-        given = [f'{name}={os.environ[name]}' for name in DISCOVERY if os.environ.get(name)]
+        discovery_settings = [
+            f'{name}={os.environ[name]}' for name in DISCOVERY if os.environ.get(name)
+        ]
         return (
             f'no allan_ros node publishes on {TOPIC}{others}. Start one: ros2 launch allan_ros '
             'allan_ros.launch.py imu:=/your/imu. If one is running, it must have the same '
-            f'discovery settings; here: {" ".join(given) or "all defaults"}.'
+            f'discovery settings; here: {" ".join(discovery_settings) or "all defaults"}.'
         )
 
 
 def terminal() -> Console | None:
-    """Return the terminal for rich; None if stdout is none, or rich is not installed."""
+    """Return the console of rich; None if stdout is not a terminal, or rich is not installed."""
     if not sys.stdout.isatty() or os.environ.get('TERM') == 'dumb':
         return None
     try:
@@ -322,7 +334,7 @@ def make_parser() -> argparse.ArgumentParser:
         help='like --once; the exit code is 3 for a warning and 4 for an error',
     )
     parser.add_argument(
-        '--node', default='', metavar='NAME', help='only this node, such as /allan_monitor'
+        '--node', default='', metavar='NAME', help='show only this node, such as /allan_monitor'
     )
     parser.add_argument(
         '--plain', action='store_true', help='print lines of text instead of a table'
@@ -340,20 +352,20 @@ def make_parser() -> argparse.ArgumentParser:
         type=float,
         default=0.0,
         metavar='S',
-        help='exit after this time; with --once, wait so long for the first status (default '
-        f'{NOBODY_S:g}, or {PATIENCE_S:g} if a node publishes)',
+        help='exit after this time in s; with --once, longest time to wait for the first status '
+        f'(default {NOBODY_S:g}, or {PATIENCE_S:g} if a node publishes)',
     )
     return parser
 
 
 def main(args: Sequence[str] | None = None) -> int:
     """Run `allan_watch`."""
-    made: list[Watch] = []
+    nodes: list[Watch] = []
 
     def make(stop: threading.Event, options: argparse.Namespace) -> Watch:
         options.once = options.once or options.json or options.check
-        made.append(Watch(options, stop))
-        return made[0]
+        nodes.append(Watch(options, stop))
+        return nodes[0]
 
     try:
         code = run('allan_watch', make, make_parser(), args)
@@ -361,4 +373,4 @@ def main(args: Sequence[str] | None = None) -> int:
     except BrokenPipeError:  # the reader (head, less) has exited
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
-    return code or made[0].exit_code()
+    return code or nodes[0].exit_code()

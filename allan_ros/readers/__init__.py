@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Open any recording of an IMU: a bag (a folder or a file), a table, an array or a PX4 log.
 
-Each format has a module, which is imported when such a recording is opened (`FORMATS`). Every
-module returns a `Recording`, which yields samples in SI units as `ImuBatch`.
+`FORMATS` states the module and the function that open a recording of each format. The function
+returns a `Recording`, which yields samples in SI units as `ImuBatch`.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ class Format(NamedTuple):
     """A format of recordings, and the function that opens a recording of this format.
 
     The function ``opener`` of ``module`` has the arguments path and `ReadOptions`, and returns a
-    `Recording`. A file has the format if it begins with one of ``magics``, else if its suffix is in
-    ``suffixes`` or ``other_suffixes``. Of the files in a folder of recordings, only files with one
-    of ``suffixes`` are read.
+    `Recording`. A file has the format if it begins with one of ``magics``. If the first bytes of
+    the file belong to no format, its suffix must be in ``suffixes`` or ``other_suffixes``. In a
+    folder of recordings, only files with one of ``suffixes`` are read.
     """
 
     module: str
@@ -45,7 +45,7 @@ class Format(NamedTuple):
 
 
 ZSTD = b'\x28\xb5\x2f\xfd'
-"""First bytes of a file compressed by zstd. Only bags are compressed."""
+"""First bytes of a file compressed by zstd. Such a file is opened as a bag."""
 
 FORMATS = {
     'bag': Format(
@@ -62,7 +62,7 @@ FORMATS = {
 """Name of a format -> format. A folder is always a bag."""
 
 SUFFIXES = tuple(suffix for form in FORMATS.values() for suffix in form.suffixes)
-"""Suffixes of the files that are recordings in a folder."""
+"""Suffixes of the files that are read as recordings if they are in a folder."""
 
 
 def open_recordings(
@@ -100,9 +100,10 @@ def _open(path: Path, options: ReadOptions) -> Recording:
 
 
 def format_of(path: Path) -> str:
-    """Return the name of the format of a path, judged by the first bytes, else by the suffix.
+    """Return the name of the format of a recording, as in `FORMATS`.
 
-    Raises AllanError when the path cannot be read, or when its format is unknown.
+    The first bytes of the file determine the format. If they belong to no format, the suffix
+    determines it. Raises AllanError when the path cannot be read, or when the format is unknown.
     """
     if path.is_dir():
         return 'bag'

@@ -4,9 +4,10 @@
 
 Columns
 -------
-The options name the columns of a file. By default, the columns are t, gx, gy, gz, ax, ay, az in s,
-rad/s and m/s^2, or some of these (`COLUMN_NAMES`). In a ``.npz`` file, the array ``stamps_ns``
-(int64) replaces t. The arrays ``record_ns`` (int64) and ``frame_id`` (one string) are optional.
+`ReadOptions.columns` names the columns of a file. By default, the columns are t, gx, gy, gz, ax,
+ay, az in s, rad/s and m/s^2, or some of these (`COLUMN_NAMES`). In a ``.npz`` file, the array
+``stamps_ns`` (int64) is used instead of t. The arrays ``record_ns`` (int64) and ``frame_id`` (one
+string) are optional.
 """
 
 from __future__ import annotations
@@ -52,6 +53,7 @@ COLUMN_NAMES = {1: 'gx', 3: 'gx,gy,gz', 4: 't,gx,gy,gz', 6: 'gx,gy,gz,ax,ay,az',
 """Number of columns of an array -> default names of the columns."""
 
 SAMPLES, STAMPS, RECORD_STAMPS, FRAME = 'imu', 'stamps_ns', 'record_ns', 'frame_id'
+"""Names of the arrays in a ``.npz`` file."""
 
 ZIP_MAGIC = b'PK\x03\x04'
 
@@ -59,7 +61,7 @@ MAX_FRAME_ARRAY_BYTES = 4 * MAX_NAME
 """Largest size of a frame_id in bytes; numpy stores four bytes for each character."""
 
 MAX_HEADER_BYTES = 1 << 16
-"""Largest number of bytes that are searched for the header of an array."""
+"""Number of bytes at the start of an array file in which its header must end."""
 
 _LIBRARY_ERRORS = (
     *(zipfile.BadZipFile, zlib.error, struct.error, ValueError, KeyError, EOFError, OSError),
@@ -74,29 +76,34 @@ REMEDY = 'save it again with numpy, or copy it again'
 def open_array(path: Path, options: ReadOptions) -> Recording:
     """Open a ``.npz`` or ``.npy`` file as a recording.
 
-    The arrays are kept in memory until they are read, or until the recording is closed. Raises
+    The samples stay in memory until they are read, or until the recording is closed. Raises
     AllanError when ``path`` is not a numpy file, or when the shapes of the arrays do not match.
     """
     with translated(path, _LIBRARY_ERRORS, REMEDY):
-        batch, found, time = _load(path, options)
-    kept = [batch]
+        batch, layout, time_name = _load(path, options)
+    unread_batch = [batch]
 
     def read(report: Report) -> Iterator[ImuBatch]:
-        if unit := found.time_unit:
-            report(finding('stamp_unit_assumed', path=path, unit=unit, name=time))
+        if unit := layout.time_unit:
+            report(finding('stamp_unit_assumed', path=path, unit=unit, name=time_name))
         with translated(path, _LIBRARY_ERRORS, REMEDY):
-            yield from in_batches(kept.pop() if kept else _load(path, options)[0])
+            yield from in_batches(unread_batch.pop() if unread_batch else _load(path, options)[0])
 
     zipped = first_bytes(path).startswith(ZIP_MAGIC)
     info = SourceInfo(str(path), SAMPLES if zipped else '', 'array', 'npz' if zipped else 'npy')
-    known = options.with_units(found.units)
-    return Recording(info, len(batch), read, options=known, axes=found.given, close=kept.clear)
+    read_options = options.with_units(layout.units)
+    return Recording(
+        *(info, len(batch), read),
+        options=read_options,
+        axes=layout.given,
+        close=unread_batch.clear,
+    )
 
 
 def _load(path: Path, options: ReadOptions) -> tuple[ImuBatch, ColumnLayout, str]:
-    """Return the samples of a file, the meaning of the columns, and the name of the time column.
+    """Return the samples of a file, the layout of the columns, and the name of the time column.
 
-    The name is '' if no column contains times.
+    The name of the time column is '' if no column contains times.
     """
     arrays = _arrays(path)
     samples = arrays[SAMPLES]
@@ -122,15 +129,15 @@ def _load(path: Path, options: ReadOptions) -> tuple[ImuBatch, ColumnLayout, str
     if len(names) != width or any('=' in name for name in names):
         raise AllanError(
             f'{path} has shape {samples.shape}: name each of its columns, such '
-            f'as --columns {",".join(["t", *AXES][:width])} (- leaves one out)'
+            f'as --columns {",".join(["t", *AXES][:width])} (- excludes a column)'
         )
-    found = columns_of(path, names, options)
+    layout = columns_of(path, names, options)
     columns = samples.reshape(n, width).T
     stamps = arrays[STAMPS].astype(np.int64) if STAMPS in arrays else None
-    batch, found = _batch(path, names, columns, found, options, stamps)
+    batch, layout = _batch(path, names, columns, layout, options, stamps)
     record = arrays[RECORD_STAMPS].astype(np.int64) if RECORD_STAMPS in arrays else None
     batch = replace(batch, record_ns=record, frame_id=str(frame_id.reshape(-1)[0]))
-    return batch, found, names[found.stamp[0][0]] if found.stamp else ''
+    return batch, layout, names[layout.stamp[0][0]] if layout.stamp else ''
 
 
 def _arrays(path: Path) -> dict[str, NDArray[Any]]:
@@ -157,7 +164,7 @@ def _arrays(path: Path) -> dict[str, NDArray[Any]]:
 
 
 def array_in(path: Path, name: str) -> NDArray[Any]:
-    """Return an array of numbers or strings in a ``.npz`` file, with its shape in the file.
+    """Return the array with a name in a ``.npz`` file, which may contain numbers or strings.
 
     The result is an empty array, (0,), if the file has no array with this name.
     Raises AllanError when the file cannot be read.
@@ -175,10 +182,10 @@ def array_in(path: Path, name: str) -> NDArray[Any]:
 
 
 def _array(file: IO[bytes], where: str, kinds: str, limit: int) -> NDArray[Any]:
-    """Return the array in a file.
+    """Return the array in a file of numpy format.
 
-    ``where`` names the array in messages, ``kinds`` are the permitted kinds of its dtype, and
-    ``limit`` is the largest permitted size in bytes.
+    ``where`` names the array in messages. ``kinds`` are the permitted kinds of the dtype of the
+    array, such as 'fi'. ``limit`` is the largest permitted size of the array in bytes.
     """
     head = BytesIO(file.read(MAX_HEADER_BYTES))
     version = npy.read_magic(head)
@@ -187,14 +194,14 @@ def _array(file: IO[bytes], where: str, kinds: str, limit: int) -> NDArray[Any]:
     read_header = npy.read_array_header_1_0 if version == (1, 0) else npy.read_array_header_2_0
     shape, fortran, dtype = read_header(head)
     if dtype.kind not in kinds:
-        right = 'a string' if kinds == 'U' else 'float64 or int64'
-        raise AllanError(f'{where} is of type {dtype}: save it as {right}')
-    size = prod(shape) * dtype.itemsize
-    if not 0 <= size <= limit:
-        raise ValueError(f'an array of {size} bytes')
+        wanted_type = 'a string' if kinds == 'U' else 'float64 or int64'
+        raise AllanError(f'{where} is of type {dtype}: save it as {wanted_type}')
+    size_bytes = prod(shape) * dtype.itemsize
+    if not 0 <= size_bytes <= limit:
+        raise ValueError(f'an array of {size_bytes} bytes')
     file.seek(head.tell())
-    data = file.read(size)
-    if len(data) != size:
+    data = file.read(size_bytes)
+    if len(data) != size_bytes:
         raise AllanError(f'{where} ends early: the file is truncated; copy it again')
     return np.ndarray(shape, dtype, data, order='F' if fortran else 'C')
 
@@ -202,7 +209,7 @@ def _array(file: IO[bytes], where: str, kinds: str, limit: int) -> NDArray[Any]:
 # --- samples in memory --------------------------------------------------------------------------
 
 NAME = 'array'
-"""Path that results state for samples from memory."""
+"""Name that results state instead of a path if the samples come from memory."""
 
 DEFAULT_AXES = {1: AXES[:1], 3: AXES[:3], 6: AXES}
 """Number of columns of an array in memory -> default names of the axes."""
@@ -218,12 +225,13 @@ def recording_in_memory(
     samples : ImuBatch, (n,) or (n, axes) array, DataFrame, or mapping of column name to (n,) array
         The samples, with one row per sample. Named columns are recognized as in a table.
     options : ReadOptions
-        If it contains a rate, the times are computed from the rate. Otherwise the times are a
-        column such as ``t`` or ``time``, or the index of a DataFrame, if the index consists of
-        dates or durations. The units apply to columns whose names state no unit.
+        If the options contain a rate, the times are computed from the rate. Otherwise the times
+        are a column such as ``t`` or ``time``, or the index of a DataFrame, if the index consists
+        of dates or durations. The units in the options apply to columns whose names state no unit.
     axes : sequence of str or str, optional
-        Names of the axes, or 'gyro' or 'accel' for three axes. By default, the columns of an array
-        are gyro x, y, z and accel x, y, z.
+        Names of the axes, or 'gyro' or 'accel' for three axes. By default, an array with six
+        columns contains gyro x, y, z and accel x, y, z, an array with three columns contains gyro
+        x, y, z, and a single column contains gyro x.
 
     Raises
     ------
@@ -239,43 +247,44 @@ def recording_in_memory(
         keys = list(samples.columns if hasattr(samples, 'columns') else samples)
         names = tuple(map(str, keys))
         if len(set(names)) < len(names):
-            ((twice, _),) = Counter(names).most_common(1)
-            raise AllanError(f'the column {twice!r} occurs more than once: rename it')
-        wanted = AXES if axes is None else _axis_names(axes)
+            ((repeated_name, _),) = Counter(names).most_common(1)
+            raise AllanError(f'the column {repeated_name!r} occurs more than once: rename it')
+        used_axes = AXES if axes is None else _axis_names(axes)
         columns: Any = [samples[key] for key in keys]
     else:
         columns = _numbers(samples).T
-        names = wanted = _axis_names(axes, len(columns))
-    found = columns_of('the samples', names, options)
-    found = replace(found, axes={at: how for at, how in found.axes.items() if AXES[at] in wanted})
+        names = used_axes = _axis_names(axes, len(columns))
+    layout = columns_of('the samples', names, options)
+    axis_columns = {i: column for i, column in layout.axes.items() if AXES[i] in used_axes}
+    layout = replace(layout, axes=axis_columns)
     index = np.asarray(getattr(getattr(samples, 'index', None), 'values', ()))
     stamps = None
     if rate:
-        found = replace(found, stamp=())
-    elif index.dtype.kind in 'Mm' and not found.stamp:
+        layout = replace(layout, stamp=())
+    elif index.dtype.kind in 'Mm' and not layout.stamp:
         stamps = _nanoseconds('the samples', index, 1)
-    batch, found = _batch('the samples', names, columns, found, options, stamps)
-    recording = _recording(batch, options.with_units(found.units), found.given)
-    trace = _temperature(names, columns, found, batch)
+    batch, layout = _batch('the samples', names, columns, layout, options, stamps)
+    recording = _recording(batch, options.with_units(layout.units), layout.given)
+    trace = _temperature(names, columns, layout, batch)
     return replace(recording, temperature=lambda frame_id: trace)
 
 
 def _temperature(
-    names: Sequence[str], columns: Any, found: ColumnLayout, batch: ImuBatch
+    names: Sequence[str], columns: Any, layout: ColumnLayout, batch: ImuBatch
 ) -> TemperatureTrace | None:
-    """Return the temperatures in a column of the samples over time; None without such a column."""
-    if found.temperature is None:
+    """Return the temperature over time from a column; None if no column contains temperatures."""
+    if layout.temperature is None:
         return None
-    at, unit = found.temperature
-    values = _numbers(columns[at])[:, 0]
+    column, unit = layout.temperature
+    values = _numbers(columns[column])[:, 0]
     if len(values) != len(batch):
         raise AllanError(
-            f'the column {names[at]!r} has {len(values)} values, but there are {len(batch)} '
-            'samples: give one for each'
+            f'the column {names[column]!r} has {len(values)} values, but there are {len(batch)} '
+            'samples: give one value for each sample'
         )
     rows = slice(None, None, len(values) // MAX_BINS + 1)
     stamps, values = batch.stamps_ns[rows].tolist(), values[rows].tolist()
-    return trace_of(names[at], ((t, t, to_celsius(v, unit)) for t, v in zip(stamps, values)))
+    return trace_of(names[column], ((t, t, to_celsius(v, unit)) for t, v in zip(stamps, values)))
 
 
 def _recording(
@@ -309,9 +318,10 @@ def _numbers(samples: Any) -> NDArray[np.float64]:
 
 
 def _axis_names(axes: str | Sequence[str] | None, columns: int = 0) -> tuple[str, ...]:
-    """Return the names of the axes of an array with ``columns`` columns; 0: any number.
+    """Return the names of the axes of an array with ``columns`` columns.
 
-    Raises AllanError when a name is unknown, or when the numbers of names and columns differ.
+    If ``columns`` is 0, any number of names is accepted. Raises AllanError when a name is unknown,
+    or when the numbers of names and columns differ.
     """
     if axes is None:
         if columns not in DEFAULT_AXES:
@@ -338,38 +348,40 @@ def _batch(
     where: object,
     names: Sequence[str],
     columns: Any,
-    found: ColumnLayout,
+    layout: ColumnLayout,
     options: ReadOptions,
     stamps: NDArray[np.int64] | None,
 ) -> tuple[ImuBatch, ColumnLayout]:
-    """Return the samples in columns, and the meaning of the columns with the unit of the stamps.
+    """Return the samples in ``columns``, and the layout with the unit of the stamps added.
 
-    ``stamps`` in ns, (n,), replace the columns of times. Raises AllanError when no column is an
-    axis, the times are missing, a column is not numeric, or the columns have different lengths.
+    If ``stamps`` in ns, (n,), are given, columns of times are not used. Raises AllanError when no
+    column is an axis, the times are missing, a column is not numeric, or the columns have different
+    lengths.
     """
-    found.check(where, names, stamps is not None or bool(options.rate_hz))
+    layout.check(where, names, stamps is not None or bool(options.rate_hz))
     with np.errstate(all='ignore'):  # a damaged file may contain any value
-        values = {at: _numbers(columns[i])[:, 0] * scale for at, (i, scale) in found.axes.items()}
+        values = {at: _numbers(columns[i])[:, 0] * scale for at, (i, scale) in layout.axes.items()}
     n = len(next(iter(values.values())))
     if any(len(column) != n for column in values.values()):
         raise AllanError('the columns have different lengths: give one row per sample')
     rows = np.full((n, len(AXES)), np.nan)
     for axis, column in values.items():
         rows[:, axis] = column
-    if stamps is None and found.stamp:
-        first = np.asarray(columns[found.stamp[0][0]][:FIRST_ROWS])
-        if first.dtype.kind not in 'Mm' and len(found.stamp) == 1:  # neither dates nor durations
-            times = _numbers(first)[:, 0]
-            found = found.with_time_unit(where, times, options.stamp_unit)
-        parts = [_nanoseconds(where, columns[at], size) for at, size in found.stamp]
-        stamps = np.asarray(np.sum(parts, axis=0), np.int64)
+    if stamps is None and layout.stamp:
+        first_rows = np.asarray(columns[layout.stamp[0][0]][:FIRST_ROWS])
+        # a unit is needed only for times that are neither dates nor durations
+        if first_rows.dtype.kind not in 'Mm' and len(layout.stamp) == 1:
+            times = _numbers(first_rows)[:, 0]
+            layout = layout.with_time_unit(where, times, options.stamp_unit)
+        time_parts = [_nanoseconds(where, columns[at], size) for at, size in layout.stamp]
+        stamps = np.asarray(np.sum(time_parts, axis=0), np.int64)
     elif stamps is None:
         stamps = even_stamps(0, n, options.rate_hz)
-    return ImuBatch(stamps, rows), found
+    return ImuBatch(stamps, rows), layout
 
 
 def _nanoseconds(where: object, times: Any, scale: int) -> NDArray[np.int64]:
-    """Convert times to int64 ns: dates, durations, or numbers in a unit of ``scale`` ns."""
+    """Convert dates, durations, or numbers in units of ``scale`` ns to ns as int64, (n,)."""
     values = np.asarray(times)
     if values.dtype.kind in 'Mm':
         return values.astype(f'{values.dtype.kind}8[ns]').astype(np.int64)

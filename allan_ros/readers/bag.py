@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The files of a bag: a folder with or without metadata.yaml, or a single file.
+"""Find and open the files of a bag: a folder with or without metadata.yaml, or a single file.
 
 ROS 1 bags must be closed and indexed. They are read with the package ``rosbags``, which does not
 limit the memory for a chunk.
@@ -71,23 +71,24 @@ Described = dict[tuple[str, str], Stated]
 
 
 class Bag:
-    """The files of one bag in order, and the topics according to metadata.yaml.
+    """The files of one bag in the order of recording, and its topics according to metadata.yaml.
 
-    ``described`` is None without metadata.yaml. One file is open at a time; it stays open until
-    another file is needed.
+    ``described`` is None without metadata.yaml. Only one file is open at a time, until another file
+    is needed.
     """
 
     def __init__(self, path: Path, files: tuple[Path, ...], described: Described | None) -> None:
         self.path = path
         self.files = files
         self.described = described
-        self.format = ''  # of the files: 'mcap', 'sqlite3' or 'ros1'
+        # format of the file opened last: 'mcap', 'sqlite3' or 'ros1'; '' before a file is opened
+        self.format = ''
         self._open: tuple[Path, Storage] | None = None
         self._stack = ExitStack()
         weakref.finalize(self, self._stack.close)
 
     def storage(self, file: Path) -> Storage:
-        """Open one of the files and return it; a compressed file is decompressed temporarily.
+        """Open one of the files for reading; a compressed file is decompressed temporarily.
 
         Raises AllanError when the file is missing, damaged, or not a bag.
         """
@@ -99,21 +100,21 @@ class Bag:
         return self._open[1]
 
     def _opened(self, file: Path, stack: ExitStack) -> Storage:
-        plain = file
+        decompressed = file
         head = first_bytes(file)
         if compression := frame_compression(head):
             folder = stack.enter_context(tempfile.TemporaryDirectory(prefix='allan_ros.'))
-            plain = Path(folder, file.stem)
-            decompress_file(file, compression, plain)
-            head = first_bytes(plain)
-        found = [name for magic, name in _FORMATS.items() if head.startswith(magic)]
-        if not found:
+            decompressed = Path(folder, file.stem)
+            decompress_file(file, compression, decompressed)
+            head = first_bytes(decompressed)
+        formats = [name for magic, name in _FORMATS.items() if head.startswith(magic)]
+        if not formats:
             raise damaged(file, 'it is not a bag', 'give a rosbag2 .db3 or .mcap, or a ROS 1 .bag')
-        (self.format,) = found
+        (self.format,) = formats
         opener: Any = _open_ros1
         if self.format != 'ros1':
             opener = import_module(f'.{self.format}', __package__).open_storage
-        storage: Storage = stack.enter_context(opener(plain, file))
+        storage: Storage = stack.enter_context(opener(decompressed, file))
         return storage
 
     def close(self) -> None:
@@ -149,15 +150,15 @@ def _natural(path: Path) -> list[tuple[int, str]]:
 
 
 def _no_bag_in(path: Path) -> AllanError:
-    inside = sorted(
+    recordings = sorted(
         child.name
         for child in path.iterdir()
         if child.suffix == '.bag' or (child / METADATA).is_file()
     )
-    if inside:
-        shown = ', '.join(inside[:5]) + (' ...' if len(inside) > 5 else '')
+    if recordings:
+        shown = ', '.join(recordings[:5]) + (' ...' if len(recordings) > 5 else '')
         return AllanError(
-            f'{path}: is a folder of {len(inside)} recordings ({shown}): give each of them'
+            f'{path}: is a folder of {len(recordings)} recordings ({shown}): give each of them'
         )
     return AllanError(
         f'{path}: no bag in this folder (no {METADATA}, .db3 or .mcap): give the folder that '
@@ -172,7 +173,8 @@ def _read_metadata(path: Path) -> tuple[tuple[Path, ...], Described]:
     # all exceptions that unexpected content can cause
     errors = (yaml.YAMLError, LookupError, TypeError, ValueError, AttributeError, OSError)
     with translated(path / METADATA, errors, remedy):
-        text = read_bounded(path / METADATA, MAX_BYTES).decode()  # 50,000 files need less
+        # the limit is larger than the metadata of a bag with 50,000 files
+        text = read_bounded(path / METADATA, MAX_BYTES).decode()
         info: dict[str, Any] = parse_yaml(text)['rosbag2_bagfile_information']
         # in older bags, the file names include the folder
         files = [path / PurePosixPath(name).name for name in info.get('relative_file_paths') or []]
@@ -180,7 +182,7 @@ def _read_metadata(path: Path) -> tuple[tuple[Path, ...], Described]:
             topic, count = entry['topic_metadata'], entry['message_count']
             names = [topic['name'], topic['type'], topic['serialization_format']]
             if not all(isinstance(name, str) and name.isprintable() for name in names):
-                raise ValueError('the name of a topic is not a printable text')
+                raise ValueError('the name of a topic contains unprintable characters')
             if isinstance(count, bool) or not isinstance(count, int) or not 0 <= count < 2**63:
                 raise ValueError(f'message_count of {names[0]} is not a number of messages')
             key = (names[0], normal_type(names[1]))
@@ -199,7 +201,7 @@ def _read_metadata(path: Path) -> tuple[tuple[Path, ...], Described]:
 ROS1_MAGIC = b'#ROSBAG V2.0\n'
 
 ROS1_MESSAGES = 2048
-"""Number of messages that are read at a time."""
+"""Number of messages that are read together from a ROS 1 bag."""
 
 ROS1_REMEDY = 'copy it again, or repair it with "rosbag reindex" or "rosbag fix"'
 
@@ -218,11 +220,11 @@ class Ros1Storage:
         self.topics = [Topic(c.id, c.topic, c.msgtype, 'ros1') for c in reader.connections]
 
     def counts(self) -> dict[int, int]:
-        """Return topic id -> number of messages."""
+        """Return topic id -> number of messages in the bag."""
         return {connection.id: connection.msgcount for connection in self._reader.connections}
 
     def stated(self, ids: set[int], read: int) -> int:
-        """Return the number of messages of these topics according to the list of chunks.
+        """Return the number of messages of the topics ``ids`` according to the list of chunks.
 
         ``read``, the number of messages that were read, is not used.
         """
@@ -232,7 +234,7 @@ class Ros1Storage:
         return sum(stated[number] for number in ids)
 
     def blocks(self, ids: set[int]) -> Iterator[Messages]:
-        """Yield all messages of these topics in blocks, in the order of record time."""
+        """Yield all messages of the topics ``ids`` in blocks, in the order of record time."""
         with translated(self._path, (Exception,), ROS1_REMEDY):
             messages = self._reader.messages([c for c in self._reader.connections if c.id in ids])
             while batch := list(islice(messages, ROS1_MESSAGES)):

@@ -32,7 +32,8 @@ class Topic:
     """A topic of one bag file: number in the file, name, and type (``package/msg/Name``).
 
     ``encoding`` is the serialization of the messages: 'cdr', 'ros1', or a serialization that cannot
-    be read. Raises ValueError when a name contains control characters, a sign of a damaged file.
+    be read. Raises ValueError when a text contains control characters, because then the file is
+    damaged.
     """
 
     id: int
@@ -51,7 +52,7 @@ Payloads = list[bytes | memoryview] | NDArray[np.void]
 
 @dataclass
 class Messages:
-    """n consecutive messages of a bag: topic ids, (n,), record times in ns, (n,), and contents."""
+    """n consecutive messages of a bag: topic ids, (n,), record times in ns, (n,), and payloads."""
 
     topics: NDArray[np.integer[Any]]
     record_ns: NDArray[np.int64]
@@ -85,9 +86,9 @@ class Messages:
 
 @dataclass(frozen=True)
 class Truncation:
-    """Number of readable bytes of a damaged file, and original size of the file in bytes.
+    """How much of a truncated or damaged file can be read: ``read`` of ``size`` bytes.
 
-    ``size`` is the present size if the original size is unknown.
+    ``size`` is the original size of the file, or its present size if the original one is unknown.
     """
 
     read: int
@@ -95,7 +96,7 @@ class Truncation:
 
 
 def among(numbers: NDArray[Any], ids: Collection[int]) -> NDArray[np.bool_]:
-    """Return whether each of n numbers is one of ``ids``, (n,); fast for a few ids."""
+    """Return for each of n numbers whether it is one of ``ids``, (n,); fast for a few ids."""
     mask = np.zeros(len(numbers), bool)
     for number in ids:
         mask |= numbers == number
@@ -112,7 +113,7 @@ def normal_type(name: str) -> str:
 
 
 def frame_compression(head: bytes | memoryview) -> str:
-    """Return the compression of a file or message by its first bytes: 'zstd', 'lz4' or ''."""
+    """Return the compression that the first bytes of data indicate: 'zstd', 'lz4' or ''."""
     return _FRAME_MAGIC.get(bytes(head[:4]), '')
 
 
@@ -126,7 +127,8 @@ def decompress(data: bytes | memoryview, compression: str, limit: int) -> bytes:
     compression : str
         'zstd' or 'lz4'; 'none' or '' for data that are not compressed.
     limit : int
-        Largest permitted size of compressed content, after decompression, in bytes.
+        Largest permitted size of the decompressed content in bytes. Data that are not compressed
+        may be larger.
 
     Raises
     ------
@@ -156,7 +158,7 @@ def decompress(data: bytes | memoryview, compression: str, limit: int) -> bytes:
 
 
 def _stated_size(head: bytes | memoryview, compression: str) -> int:
-    """Return the decompressed size in the header of zstd data; -1 if no size is stated."""
+    """Return the decompressed size that the header of zstd data states; -1 if it is unknown."""
     return int(_zstd().frame_content_size(head)) if compression == 'zstd' else -1
 
 
@@ -171,8 +173,8 @@ def _expanding(file: BinaryIO, compression: str) -> Any:
 def decompress_file(source: Path, compression: str, target: Path) -> None:
     """Decompress the bag file ``source`` into the file ``target``.
 
-    ``compression`` is 'zstd' or 'lz4'. Raises AllanError when ``source`` is damaged, when it
-    expands by a factor of more than `MAX_FILE_RATIO`, or when the disk is full.
+    ``compression`` is 'zstd' or 'lz4'. Raises AllanError when ``source`` is damaged, when the
+    decompressed file is larger than `MAX_FILE_RATIO` permits, or when the disk is full.
     """
     remedy = 'copy it again; check the space for temporary files'
     with (
@@ -181,7 +183,8 @@ def decompress_file(source: Path, compression: str, target: Path) -> None:
         target.open('wb') as out,
     ):
         limit = os.fstat(file.fileno()).st_size * MAX_FILE_RATIO + MAX_CHUNK_BYTES
-        stated = _stated_size(file.read(18), compression)  # longest header (RFC 8878, 3.1.1)
+        # the longest header has 18 bytes (RFC 8878, 3.1.1)
+        stated = _stated_size(file.read(18), compression)
         file.seek(0)
         plain = _expanding(file, compression)
         size = 0
@@ -191,7 +194,7 @@ def decompress_file(source: Path, compression: str, target: Path) -> None:
                 raise ValueError(f'it expands more than {MAX_FILE_RATIO} times')
             out.write(data)
         if size < max(stated, 1):
-            raise ValueError(f'{compression} data that end early')
+            raise ValueError(f'the {compression} data end early')
 
 
 def _zstd() -> Any:

@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Decode and encode serialized `sensor_msgs/Imu` messages, and change their covariances.
 
-The layout of a message depends only on the length of ``header.frame_id``. So messages of equal
-length are decoded together, as an array of records.
+The layout of a message depends only on its byte order and on the length of ``header.frame_id``.
+Messages with the same layout are decoded together, as an array of records.
 
 Serializations
 --------------
@@ -36,14 +36,14 @@ ABSENT = -1.0
 """Value of covariance[0] that marks an absent sensor (sensor_msgs/Imu.msg)."""
 
 BIG_ENDIAN, LITTLE_ENDIAN = 0, 1
-"""The first two bytes of the encapsulation as a number, for big-endian and little-endian CDR."""
+"""Values of the first two bytes of the encapsulation for big-endian and little-endian CDR."""
 
 _ORDERS = {bytes([0, LITTLE_ENDIAN]): '<', bytes([0, BIG_ENDIAN]): '>'}
 """The first two bytes of the encapsulation -> byte order."""
 
 _FRAME_AT = 16
-"""Offset of frame_id in bytes. Before it are the encapsulation (in ROS 1: seq), sec, nanosec and
-the length of frame_id, of four bytes each."""
+"""Offset of frame_id in bytes. Four fields of four bytes each come before frame_id: encapsulation
+(in ROS 1: seq), sec, nanosec, and the length of frame_id."""
 
 MAX_FRAME_BYTES = MAX_NAME + 1
 """Largest serialized length of a frame_id in bytes; in CDR, this includes the final NUL."""
@@ -85,8 +85,8 @@ class DecodedImus:
     samples: NDArray[np.float64]  # (n, 6), in SI, in the order of `AXES`; NaN: sensor is absent
     frame_ids: list[str]  # the distinct frame_ids
     frames: NDArray[np.intp]  # (n,), index of the frame_id of each message
-    # sensor -> number of messages that declare the sensor absent, but contain valid data of it;
-    # these data are used
+    # sensor -> number of messages that declare the sensor absent although they contain valid data
+    # of the sensor, which are used
     kept: dict[str, int] = field(default_factory=dict)
 
     def batches(self, record_ns: NDArray[np.int64]) -> Iterator[ImuBatch]:
@@ -147,8 +147,9 @@ def decode_imus(
 ) -> DecodedImus:
     """Decode n serialized Imu messages to stamps in ns, (n,), and samples in SI, (n, 6).
 
-    The samples of a sensor are NaN in a message in which its covariance[0] is -1 or NaN and its
-    data are invalid. Raises MalformedMessage for the first payload that is not an Imu message.
+    If covariance[0] of a sensor is -1 or NaN in a message, and its data are not finite or all zero,
+    the samples of this sensor are NaN. Raises MalformedMessage for the first payload that is not an
+    Imu message.
     """
     n = len(payloads)
     samples = np.empty((len(AXES), n)).T
@@ -158,37 +159,38 @@ def decode_imus(
         for sensor, axes in SENSORS.items():
             for i, axis in enumerate(range(len(AXES))[axes]):
                 decoded.samples[rows, axis] = records[sensor][:, i]
-            first = records[f'{sensor}_covariance'][:, 0].copy()
-            if not first.min() >= 0.0:  # also for NaN
-                absent = np.arange(n)[rows][(first == ABSENT) | np.isnan(first)]
-                _drop_absent(decoded, sensor, absent)
-        distinct, which = _distinct(records['frame_id'])
-        places = []
+            variances = records[f'{sensor}_covariance'][:, 0].copy()
+            if not variances.min() >= 0.0:  # also for NaN
+                is_absent = (variances == ABSENT) | np.isnan(variances)
+                _drop_absent(decoded, sensor, np.arange(n)[rows][is_absent])
+        distinct, indices = _distinct(records['frame_id'])
+        frames = []
         for name in distinct:
             text = name.rstrip(b'\0' if encoding == 'cdr' else b'').decode(errors='replace')
             if text not in decoded.frame_ids:
                 decoded.frame_ids.append(text)
-            places.append(decoded.frame_ids.index(text))
-        decoded.frames[rows] = places[0] if len(places) == 1 else np.array(places)[which]
+            frames.append(decoded.frame_ids.index(text))
+        decoded.frames[rows] = frames[0] if len(frames) == 1 else np.array(frames)[indices]
     return decoded
 
 
-def _drop_absent(decoded: DecodedImus, sensor: str, absent: NDArray[np.intp]) -> None:
-    """Set a sensor to NaN in messages that declare it absent.
+def _drop_absent(decoded: DecodedImus, sensor: str, absent_rows: NDArray[np.intp]) -> None:
+    """Set the samples of a sensor to NaN in messages that declare the sensor absent.
 
-    ``absent`` are the indices of these messages. Many drivers declare a sensor absent by mistake,
-    so valid data, which are finite and not all zero, are kept.
+    ``absent_rows`` are the indices of these messages. Many drivers declare a sensor absent by
+    mistake, so data are kept if they are valid, that is, finite and not all zero.
     """
-    values = decoded.samples[absent, SENSORS[sensor]]
-    valid = np.isfinite(values).all(axis=1) & values.any(axis=1)
-    if valid.any():
-        decoded.kept[sensor] = decoded.kept.get(sensor, 0) + int(np.count_nonzero(valid))
-    decoded.samples[absent[~valid], SENSORS[sensor]] = np.nan
+    values = decoded.samples[absent_rows, SENSORS[sensor]]
+    has_valid_data = np.isfinite(values).all(axis=1) & values.any(axis=1)
+    if has_valid_data.any():
+        decoded.kept[sensor] = decoded.kept.get(sensor, 0) + int(np.count_nonzero(has_valid_data))
+    decoded.samples[absent_rows[~has_valid_data], SENSORS[sensor]] = np.nan
 
 
 def _grouped_by_layout(
     payloads: Sequence[bytes | memoryview] | NDArray[np.void], encoding: Encoding
 ) -> Iterator[tuple[slice | NDArray[np.intp], NDArray[Any]]]:
+    """Yield groups of messages with the same layout: their positions, and one record for each."""
     n = len(payloads)
     # messages of equal length have the same layout if these fields are equal, too
     fields = ('frame_bytes',) if encoding == 'ros1' else ('frame_bytes', 'representation')
@@ -207,13 +209,13 @@ def _grouped_by_layout(
         kind = payload[:2] if encoding == 'cdr' else b'', payload[_FRAME_AT - 4 : _FRAME_AT]
         groups.setdefault((len(payload), *kind), []).append(row)
     for rows in groups.values():
-        same = [bytes(payloads[row]) for row in rows]
-        dtype = _layout_of(same[0], encoding, rows[0]).dtype
-        yield np.array(rows), np.frombuffer(b''.join(same), dtype)
+        group_payloads = [bytes(payloads[row]) for row in rows]
+        dtype = _layout_of(group_payloads[0], encoding, rows[0]).dtype
+        yield np.array(rows), np.frombuffer(b''.join(group_payloads), dtype)
 
 
 class _Layout(NamedTuple):
-    """Layout of a message: byte order, record dtype, offsets of the fields, bytes of frame_id."""
+    """Layout of a message: byte order, record dtype, offsets of fields, position of frame_id."""
 
     order: str
     dtype: np.dtype[Any]
@@ -229,8 +231,8 @@ def _layout_of(payload: bytes, encoding: Encoding = 'cdr', index: int = 0) -> _L
     if order is None:
         reason = f'its encapsulation 0x{payload[:2].hex()} is not plain CDR'
         raise MalformedMessage(index, reason)
-    length = payload[_FRAME_AT - 4 : _FRAME_AT]
-    frame_bytes = int.from_bytes(length, 'little' if order == '<' else 'big')
+    length_field = payload[_FRAME_AT - 4 : _FRAME_AT]
+    frame_bytes = int.from_bytes(length_field, 'little' if order == '<' else 'big')
     if frame_bytes > MAX_FRAME_BYTES:
         reason = f'its frame_id has {frame_bytes} bytes, the limit is {MAX_FRAME_BYTES}'
         raise MalformedMessage(index, reason)
@@ -264,9 +266,9 @@ def _distinct(names: NDArray[np.void]) -> tuple[list[bytes], NDArray[np.intp]]:
     size, flat = names.itemsize, names.copy().view(np.uint8)
     if (flat[size:] == flat[: len(flat) - size]).all():
         return [flat[:size].tobytes()], np.zeros(len(names), np.intp)
-    distinct, which = np.unique(flat.reshape(-1, size), axis=0, return_inverse=True)
+    distinct, indices = np.unique(flat.reshape(-1, size), axis=0, return_inverse=True)
     # reshaped because numpy 2.0 returns a column
-    return [name.tobytes() for name in distinct], which.reshape(-1)
+    return [name.tobytes() for name in distinct], indices.reshape(-1)
 
 
 def encode_imus(batch: ImuBatch, encoding: Encoding, order: str = '<') -> list[memoryview]:
@@ -296,9 +298,9 @@ def encode_imus(batch: ImuBatch, encoding: Encoding, order: str = '<') -> list[m
     records['orientation_covariance'][:, 0] = ABSENT
     for name, axes in SENSORS.items():
         values = batch.samples[:, axes]
-        absent = np.asarray(np.isnan(values).all(axis=1))
-        records[name] = np.where(absent[:, None], 0.0, values)
-        records[f'{name}_covariance'][absent, 0] = ABSENT
+        is_absent = np.asarray(np.isnan(values).all(axis=1))
+        records[name] = np.where(is_absent[:, None], 0.0, values)
+        records[f'{name}_covariance'][is_absent, 0] = ABSENT
     joined = memoryview(records.tobytes())
     size = dtype.itemsize
     return [joined[start : start + size] for start in range(0, len(joined), size)]
@@ -309,7 +311,7 @@ def decode_temperature(payload: bytes, encoding: Encoding) -> tuple[int, str, fl
 
     Raises MalformedMessage when the payload is not a serialized sensor_msgs/Temperature.
     """
-    # the value follows the header, like the orientation in an Imu message
+    # the temperature follows the header, at the place of the orientation in an Imu message
     padded = payload + bytes(_IMU_BYTES)
     _, dtype, offsets, frame = _layout_of(padded, encoding)
     if len(payload) < offsets['orientation'] + _DOUBLE:
@@ -323,13 +325,13 @@ def decode_temperature(payload: bytes, encoding: Encoding) -> tuple[int, str, fl
 _COVARIANCE_BYTES = 9 * _DOUBLE
 
 _UNKNOWN = bytes(_COVARIANCE_BYTES)
-"""All zeros: the covariance is unknown (sensor_msgs/Imu.msg)."""
+"""Bytes of an unknown covariance, which is all zeros (sensor_msgs/Imu.msg)."""
 
 _NUMBERS = {order: struct.Struct(f'{order}9d') for order in '<>'}
 
 
 class CovariancePatch:
-    """Writes known variances into the covariances of Imu messages in CDR.
+    """Writes given variances into the covariances of Imu messages in CDR.
 
     A covariance that begins with -1 or NaN, which marks an absent sensor, is never changed.
 
@@ -338,7 +340,7 @@ class CovariancePatch:
     variances : mapping of str to (float, float, float)
         'gyro' or 'accel' -> variances of the x, y and z axis in (rad/s)^2 or (m/s^2)^2.
     overwrite : bool
-        Whether covariances that the driver has set, that is, that are not all zeros, are changed.
+        Whether covariances are changed that are not all zeros, because the driver has set them.
     frame_id : str
         Only messages with this frame_id are changed; '' for all messages.
     """
@@ -360,7 +362,7 @@ class CovariancePatch:
         }
 
     def patch(self, payload: bytes) -> bytes:
-        """Return the message with the known covariances; ``payload`` itself if none was changed.
+        """Return the message with the given variances, or ``payload`` itself if nothing changes.
 
         Raises MalformedMessage when the payload is not an Imu message in plain CDR.
         """

@@ -3,8 +3,8 @@
 """Recognize the columns of a table or DataFrame by their names.
 
 Only the end of a name matters, so ``gx``, ``gyro_x [deg/s]``, ``angular_velocity.x``,
-``/imu/angular_velocity/x`` and ``w_RS_S_x [rad s^-1]`` are the same axis. A unit in brackets takes
-precedence over the unit in the options.
+``/imu/angular_velocity/x`` and ``w_RS_S_x [rad s^-1]`` are the same axis. For samples, the unit in
+the name takes precedence over the unit in the options; for stamps, the unit in the options does.
 """
 
 from __future__ import annotations
@@ -38,16 +38,21 @@ FIRST_ROWS = 200
 """Number of rows from which the unit of the stamps is recognized."""
 
 NO_UNIT, DATES = 0, -1
-"""Values that stand for a factor to ns: `NO_UNIT` if the unit of the times is not stated, and
-`DATES` if the times are dates such as 2026-01-31T12:00."""
+"""Values that are used instead of a factor to ns: `NO_UNIT` if the unit of the times is not stated,
+and `DATES` if the times are dates such as 2026-01-31T12:00."""
 
 _BRACKET = re.compile(r'^(.*?)\s*[\[(]\s*([^\])]*?)\s*[\])]$')
 
 
 def _suffixes(spellings: Mapping[str, Sequence[str]]) -> str:
-    """Return a pattern of the units in a name in which all other characters are replaced by _."""
-    plain = {re.sub('[^a-z0-9]+', '_', each) for names in spellings.values() for each in names}
-    return '|'.join(sorted(plain))
+    """Return a regular expression for the spellings of units within a column name.
+
+    In the name and in the spellings, all characters but letters and digits are replaced by _.
+    """
+    plain_spellings = {
+        re.sub('[^a-z0-9]+', '_', each) for names in spellings.values() for each in names
+    }
+    return '|'.join(sorted(plain_spellings))
 
 
 _TIME_UNIT = f'(?:_(?P<unit>{_suffixes(TIME_SPELLINGS)}))?$'
@@ -76,13 +81,14 @@ _KINDS = tuple(
         ('temperature', 'temp|temperature', _DEGREES, ''),
     )
 )  # fmt: skip
-"""Kind of a column, pattern of its names with groups for axis and unit, and unit of a column whose
-name states no unit. The first pattern that matches applies."""
+"""For each kind of column: the kind, a regular expression for its names with groups for axis and
+unit, and the unit if the name states none. The first expression that matches a name applies."""
 
 _ONLY_AXIS = re.compile('(?:^|_)([xyz])$')
 
 _STAMPS = (('sec', 'nanosec'), ('stamp',), ('time',), ('elapsed',), ('counter',), ('sec',))
-"""Kinds of columns whose sum is the stamp. The first entry whose kinds are all present is used."""
+"""Kinds of columns that are added up to the stamp. The first entry whose kinds are all present is
+used."""
 
 _SPELLINGS = {
     **dict.fromkeys(SENSORS, SAMPLE_SPELLINGS),
@@ -101,8 +107,8 @@ class Meaning(NamedTuple):
     kind: str  # a kind of `_KINDS`; '' if unknown
     axis: str = ''  # 'x', 'y' or 'z' for a column of a sensor
     unit: str = ''  # '' if the name states no unit
-    unknown: str = ''  # text in brackets that is not a unit of this kind
-    is_si: bool = False  # whether samples with this name are always in SI
+    unknown: str = ''  # text at the place of a unit that is not a unit of this kind
+    is_si: bool = False  # whether columns with this name are always in SI
 
 
 @dataclass(frozen=True)
@@ -114,9 +120,9 @@ class ColumnLayout:
     record: tuple[tuple[int, int], ...]  # (column, factor to ns); their sum is the record time
     temperature: tuple[int, str] | None  # column of the temperature, unit ('' if not stated)
     units: dict[str, str]  # sensor -> unit of its columns
-    assumed: dict[str, str]  # sensor -> name of a column whose unit is not stated anywhere
-    time_unit: str = ''  # unit of the stamps if it follows only from their increments
-    unclear_time: str = ''  # text in brackets after the name of the time column, but not a unit
+    assumed: dict[str, str]  # sensor -> name of a column for which SI is assumed
+    time_unit: str = ''  # unit of the stamps if it is doubtful, because increments determine it
+    unclear_time: str = ''  # text at the place of a unit in the time column that is not a unit
     unrecognized: tuple[str, ...] = ()  # names of columns without a known meaning
 
     @property
@@ -139,7 +145,7 @@ class ColumnLayout:
         if not self.axes:
             raise AllanError(
                 f'{where}: no column ({listed(names)}) is a gyro or accel axis: name them, such as '
-                f'--columns {EXAMPLE_COLUMNS} ({LEFT_OUT} leaves one out), or t=NAME,gx=NAME,...'
+                f'--columns {EXAMPLE_COLUMNS} ({LEFT_OUT} excludes a column), or t=NAME,gx=NAME,...'
             )
         if not self.stamp and not with_times:
             raise AllanError(
@@ -152,9 +158,9 @@ class ColumnLayout:
     ) -> ColumnLayout:
         """Return the layout with the unit of the stamps.
 
-        The unit is taken from the options, else from the name of the column. If neither states a
-        unit, it is recognized from the stamps: by their size if they are times since 1970, else by
-        their increments.
+        The unit is taken from the options, otherwise from the name of the column. If neither states
+        a unit, the unit is recognized from the stamps: by their size if they are times since 1970,
+        otherwise by their increments.
 
         Parameters
         ----------
@@ -163,7 +169,7 @@ class ColumnLayout:
         times : (n,) array
             The first stamps.
         stated : str
-            The unit in the options; '' if there is none.
+            The unit in the options; '' if the options state no unit.
 
         Raises
         ------
@@ -202,16 +208,16 @@ SHORTEST_NS, LONGEST_NS = 1e4, 1e12
 """Range of sample periods in ns that are plausible for an IMU."""
 
 FASTEST_MS = 0.3
-"""Increment from which times taken as seconds could also be milliseconds: as milliseconds, 0.3 is a
-sample rate of 3 kHz."""
+"""Increment of times from which the unit could be ms instead of s. An increment of 0.3 ms means a
+sample rate of about 3 kHz, and a smaller increment would mean an implausible rate."""
 
 ENOUGH = 100
-"""Smallest number of times for which a doubtful unit is reported: a shorter table is not a
+"""Smallest number of times for which an implausible unit is reported. A shorter table is not a
 measurement."""
 
 LONGEST_STEP = {'s': 2.0, 'ms': 300.0, 'us': 3e5}
-"""Unit -> increment above which the next smaller unit is more plausible. IMUs have sample rates of
-3 Hz to 3 kHz."""
+"""Unit -> increment in this unit from which the next smaller unit is more plausible. IMUs have
+sample rates of 3 Hz to 3 kHz."""
 
 
 def _step(times: NDArray[np.float64]) -> float:
@@ -223,9 +229,9 @@ def _step(times: NDArray[np.float64]) -> float:
 def _unit_by_size(times: NDArray[np.float64]) -> str:
     """Return the unit in which the stamps are times since 1970; '' if there is no such unit."""
     for unit in RECOGNIZED_UNITS:
-        size = STAMP_UNITS[unit]
-        is_epoch = EPOCH_S[0] <= times[0] * size * 1e-9 <= EPOCH_S[1]
-        if is_epoch and (not _step(times) or SHORTEST_NS <= _step(times) * size <= LONGEST_NS):
+        unit_ns = STAMP_UNITS[unit]
+        is_epoch = EPOCH_S[0] <= times[0] * unit_ns * 1e-9 <= EPOCH_S[1]
+        if is_epoch and (not _step(times) or SHORTEST_NS <= _step(times) * unit_ns <= LONGEST_NS):
             return unit
     return ''
 
@@ -244,7 +250,8 @@ def columns_of(where: object, names: Iterable[str], options: ReadOptions) -> Col
     where : object
         Name of the table in messages.
     names : iterable of str
-        Names of the columns. If several columns contain times, `_STAMPS` states which is used.
+        Names of the columns. If several columns contain times, `_STAMPS` states which of them are
+        used.
     options : ReadOptions
         Units for columns whose names state no unit.
 
@@ -257,20 +264,20 @@ def columns_of(where: object, names: Iterable[str], options: ReadOptions) -> Col
     units: dict[str, str] = {}
     assumed: dict[str, str] = {}
     times: dict[str, tuple[int, int]] = {}
-    unclear: dict[str, str] = {}
+    not_units: dict[str, str] = {}
     temperature = None
     unrecognized = []
-    taken: dict[str, str] = {}
+    axis_names: dict[str, str] = {}
     for column, name in enumerate(names):
         kind, letter, unit, unknown, is_si = _meaning(name)
         if kind in SENSORS:
             axis = f'{kind}_{letter}'
             if axis in axes:
                 raise AllanError(
-                    f'{where}: the columns {taken[axis]!r} and {name!r} both contain {axis}: '
+                    f'{where}: the columns {axis_names[axis]!r} and {name!r} both contain {axis}: '
                     f'choose the columns of one IMU with --columns, such as gx={name},gy=NAME,...'
                 )
-            taken[axis] = name
+            axis_names[axis] = name
             stated = unit or getattr(options, f'{kind}_unit')
             if unknown and not stated:
                 raise AllanError(
@@ -286,14 +293,14 @@ def columns_of(where: object, names: Iterable[str], options: ReadOptions) -> Col
             if temperature is None and not unknown:
                 temperature = column, unit
         elif kind:
-            unclear.setdefault(kind, unknown)
+            not_units.setdefault(kind, unknown)
             stated = unit or options.stamp_unit or ('s' if kind == 'record' else '')
             times.setdefault(kind, (column, STAMP_UNITS.get(stated, NO_UNIT)))
         elif name.strip() != LEFT_OUT:
             unrecognized.append(name.strip())
-    if unclear.get('record'):
+    if not_units.get('record'):
         raise AllanError(
-            f'{where}: the unit {unclear["record"]!r} of the record times is unknown: use one of '
+            f'{where}: the unit {not_units["record"]!r} of the record times is unknown: use one of '
             f'{", ".join(STAMP_UNITS)}'
         )
     stamp: tuple[str, ...] = next((kinds for kinds in _STAMPS if times.keys() >= set(kinds)), ())
@@ -304,7 +311,7 @@ def columns_of(where: object, names: Iterable[str], options: ReadOptions) -> Col
         temperature,
         units,
         assumed,
-        unclear_time=unclear[stamp[0]] if stamp else '',
+        unclear_time=not_units[stamp[0]] if stamp else '',
         unrecognized=tuple(unrecognized),
     )
 
@@ -315,14 +322,15 @@ _SENSOR_WORDS = {
     'gyro': ('gyro', 'gyroscope', 'gyroskop'),
     'accel': ('accel', 'accelerometer', 'acceleration', 'beschleunigung'),
 }
-"""Sensor -> words in file names. Phone apps write one file for each sensor, named after it."""
+"""Sensor -> words for the sensor in file names. Phone apps write one file for each sensor, and its
+name contains such a word."""
 
 
 def names_by_file(stem: str, names: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the names of columns with the sensor that the name of their file states.
+    """Add the sensor that a file name states to the column names x, y and z.
 
-    Names are changed only if columns are called just x, y and z. ``stem`` is the name of the file
-    without suffix.
+    If one of these columns is missing, or the file name does not state exactly one sensor, the
+    names are returned unchanged. ``stem`` is the file name without suffix.
 
     Examples
     --------
@@ -331,12 +339,13 @@ def names_by_file(stem: str, names: tuple[str, ...]) -> tuple[str, ...]:
     """
     if not {'x', 'y', 'z'} <= {name.strip().lower() for name in names}:
         return names
-    stated = [word.lower() for word in _WORDS.findall(stem)]
-    words = [w for known in _SENSOR_WORDS.values() for w in known if w in stated]
-    if len(words) != 1:
+    file_words = [word.lower() for word in _WORDS.findall(stem)]
+    sensor_words = [w for words in _SENSOR_WORDS.values() for w in words if w in file_words]
+    if len(sensor_words) != 1:
         return names
     return tuple(
-        f'{words[0]}_{n.strip()}' if n.strip().lower() in {'x', 'y', 'z'} else n for n in names
+        f'{sensor_words[0]}_{n.strip()}' if n.strip().lower() in {'x', 'y', 'z'} else n
+        for n in names
     )
 
 
@@ -352,19 +361,19 @@ def picked_names(where: object, names: tuple[str, ...], pairs: tuple[str, ...]) 
     renamed = [LEFT_OUT if _group(name) in groups else name for name in names]
     bases = [_base_and_unit(name)[0] for name in names]
     for pair in pairs:
-        new, _, wanted = (word.strip() for word in pair.partition('='))
-        places = [at for at, name in enumerate(names) if name == wanted]
-        base = _base_and_unit(wanted)[0]
+        new_name, _, old_name = (word.strip() for word in pair.partition('='))
+        places = [at for at, name in enumerate(names) if name == old_name]
+        base = _base_and_unit(old_name)[0]
         places = places or [at for at, name in enumerate(bases) if name == base]
         if len(places) != 1:
             raise AllanError(
-                f'{where}: {len(places)} columns ({listed(names)}) are named {wanted!r}: '
+                f'{where}: {len(places)} columns ({listed(names)}) are named {old_name!r}: '
                 f'correct --columns {pair}'
             )
         unit = _BRACKET.match(names[places[0]])
-        if unit and not _BRACKET.match(new):
-            new = f'{new} [{unit[2]}]'
-        renamed[places[0]] = new
+        if unit and not _BRACKET.match(new_name):
+            new_name = f'{new_name} [{unit[2]}]'
+        renamed[places[0]] = new_name
     return tuple(renamed)
 
 
@@ -381,8 +390,8 @@ MOST_LISTED = 10
 def listed(names: Sequence[str]) -> str:
     """Return the first `MOST_LISTED` names and the number of further names, as text."""
     text = ', '.join(names[:MOST_LISTED])
-    more = len(names) - MOST_LISTED
-    return f'{text} and {more} more' if more > 0 else text
+    n_more = len(names) - MOST_LISTED
+    return f'{text} and {n_more} more' if n_more > 0 else text
 
 
 def _meaning(name: str) -> Meaning:
@@ -402,25 +411,25 @@ def _meaning(name: str) -> Meaning:
     matches = ((each, pattern.search(base), unit) for each, pattern, unit in _KINDS)
     found = next(((each, match, unit) for each, match, unit in matches if match), None)
     if found is None:
-        only = _ONLY_AXIS.search(base)
-        return Meaning(sensor, only[1], measured) if sensor and only else Meaning('')
+        axis = _ONLY_AXIS.search(base)
+        return Meaning(sensor, axis[1], measured) if sensor and axis else Meaning('')
     kind, match, implied = found
     groups = match.groupdict()
     if kind not in _SPELLINGS:
         return Meaning(kind, '', implied)
     if len(text) < 4 and kind in SENSORS and sensor:
-        kind = sensor  # a letter, such as g, says less than the unit
+        kind = sensor  # the unit is clearer than a single letter such as g
     spelled = bracket or groups['unit'] or groups.get('inner') or ''
     unit = unit_named(spelled, _SPELLINGS[kind])
     if kind in SENSORS and unit and unit not in SAMPLE_UNITS[kind]:
-        unit = ''  # it is a unit of the other sensor
-    is_word = kind not in (*SENSORS, 'temperature') and plain_unit(spelled) in NO_UNITS
-    unknown = spelled if spelled and not unit and not is_word else ''
+        unit = ''  # a unit of the other sensor
+    is_no_unit = kind not in (*SENSORS, 'temperature') and plain_unit(spelled) in NO_UNITS
+    unknown = spelled if spelled and not unit and not is_no_unit else ''
     return Meaning(kind, groups.get('axis') or '', unit or implied, unknown, is_si)
 
 
 def _base_and_unit(name: str) -> tuple[str, str]:
-    """Return a column name in lower case without its unit, and the unit."""
+    """Return a column name in lower case without the text in brackets at its end, and this text."""
     text = name.strip().lower()
     match = _BRACKET.match(text)
     return (match[1], match[2]) if match else (text, '')

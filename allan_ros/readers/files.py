@@ -39,7 +39,8 @@ def public(function: Callable[P, T]) -> Callable[P, T]:
     """Decorate a public function so that it raises AllanError for errors of the operating system.
 
     The function also raises AllanError for a text argument that cannot be a path, because it
-    contains a null character or a name that is too long. Not every version of Python reports these.
+    contains a null character or a name that is too long. Not every version of Python reports such
+    an argument.
     """
 
     @wraps(function)
@@ -68,8 +69,8 @@ def public(function: Callable[P, T]) -> Callable[P, T]:
 def open_regular(path: str | os.PathLike[str]) -> BinaryIO:
     """Open a regular file for reading bytes; symbolic links are followed.
 
-    Raises AllanError when the path is a folder, FIFO, device or socket, and OSError when it is
-    missing or unreadable.
+    Raises AllanError when the path is a folder, FIFO, device or socket, and OSError when the file
+    is missing or unreadable.
     """
     if not stat.S_ISREG(os.stat(path).st_mode):  # opening a device can already have an effect
         raise _not_regular(path)
@@ -85,7 +86,7 @@ def read_bounded(path: str | os.PathLike[str], limit: int) -> bytes:
     """Read a regular file of at most ``limit`` bytes.
 
     Raises AllanError when the path is not a regular file, or the file is larger, and OSError when
-    it is missing or unreadable.
+    the file is missing or unreadable.
     """
     with open_regular(path) as file:
         data = file.read(limit + 1)
@@ -100,7 +101,7 @@ def read_bounded(path: str | os.PathLike[str], limit: int) -> bytes:
 def read_text(path: str | os.PathLike[str], limit: int) -> str:
     """Read a regular UTF-8 file of at most ``limit`` bytes, without changing its line ends.
 
-    Raises AllanError when the file cannot be read, is larger, or is not UTF-8.
+    Raises AllanError when the file cannot be read, is larger than ``limit``, or is not UTF-8.
     """
     try:
         return read_bounded(path, limit).decode('utf-8')
@@ -120,8 +121,8 @@ def _not_regular(path: str | os.PathLike[str]) -> AllanError:
 def write_atomic(path: str | os.PathLike[str], content: str | bytes) -> None:
     """Write a file so that its path never contains an incomplete file, even after a crash.
 
-    The content is written to a temporary file in the same folder. This file is synced to the disk
-    and renamed. Raises AllanError when this fails.
+    The content is written to a temporary file in the same folder, which is synced to the disk and
+    then renamed. Raises AllanError when the file cannot be written.
     """
     write_together(Path(path).parent, {Path(path).name: content})
 
@@ -144,7 +145,7 @@ def write_together(
     ------
     AllanError
         When a path is not a regular file, the folder is missing or not writable, or the disk is
-        full. No file has changed then, unless the error occurs while files are removed or replaced.
+        full. An error before the first file is removed or replaced leaves all files unchanged.
     """
     drafts: dict[Path, Path] = {}
     path = folder
@@ -205,7 +206,7 @@ MAX_BYTES = 16 * 2**20
 def to_json(document: Mapping[str, Any]) -> str:
     """Return a document as JSON text; raises ValueError if it contains NaN or infinity.
 
-    Bytes of a file name that are not UTF-8 are written as ``\\xff``.
+    Bytes of a file name that are not UTF-8 are written as text, such as ``\\xff``.
     """
     text = json.dumps(document, indent=1, allow_nan=False, ensure_ascii=False) + '\n'
     if text.isascii():
@@ -299,7 +300,10 @@ def read_yaml(path: Path) -> Any:
 
 
 def config_names(kind: str) -> list[str]:
-    """Return the sorted names, without suffix, of all configuration files of a kind ('sensors')."""
+    """Return the sorted names, without suffix, of all configuration files in a folder.
+
+    ``kind`` is the name of the folder: 'sensors' or 'filters'.
+    """
     return sorted({path.stem for folder in config_folders(kind) for path in folder.glob('*.yaml')})
 
 
@@ -309,11 +313,11 @@ def config_file(kind: str, name: str, called: str) -> Path:
     Parameters
     ----------
     kind : str
-        Folder of such files: 'sensors' or 'filters'.
+        Name of the folder with such files: 'sensors' or 'filters'.
     name : str
         Name of the file without suffix, or path of a .yaml file. A path is not checked.
     called : str
-        Word for such a file in messages.
+        What messages call such a file, such as 'datasheet'.
 
     Raises
     ------
@@ -328,9 +332,11 @@ def config_file(kind: str, name: str, called: str) -> Path:
             found = folder / f'{name.lower()}.yaml'
             if found.is_file():
                 return found
-        same = [known for known in config_names(kind) if _simplified(known) == _simplified(name)]
-        if len(same) == 1:  # for example, mpu6050 instead of mpu-6050
-            return config_file(kind, same[0], called)
+        equal_names = [
+            known for known in config_names(kind) if _simplified(known) == _simplified(name)
+        ]
+        if len(equal_names) == 1:  # for example, mpu6050 instead of mpu-6050
+            return config_file(kind, equal_names[0], called)
     raise AllanError(
         f'no {called} {name!r}: {_suggestion(name.lower(), config_names(kind))}, '
         'or give the path of a .yaml file'
@@ -338,10 +344,10 @@ def config_file(kind: str, name: str, called: str) -> Path:
 
 
 def config_folders(kind: str) -> list[Path]:
-    """Return the existing folders with configuration files of a kind, in the order of search.
+    """Return the existing folders in which configuration files of a kind are searched, in order.
 
-    The first is the folder of the user (XDG Base Directory, 0.8), then follow ``config/<kind>`` of
-    the source code and of the installed package.
+    The folder of the user (XDG Base Directory, 0.8) comes first. The folders ``config/<kind>`` of
+    the source code and of the installed package follow.
     """
     home = os.environ.get('XDG_CONFIG_HOME') or Path('~/.config').expanduser()
     here = Path(__file__).resolve()
@@ -357,12 +363,12 @@ names that the message lists if no name is similar."""
 
 def _suggestion(name: str, names: Sequence[str]) -> str:
     word, plain = _simplified(name), {_simplified(known): known for known in names}
-    near = [known for key, known in plain.items() if word and key.startswith(word)]
-    # A name with other digits is another model, so a similar name must contain all given digits.
-    close, digits = difflib.get_close_matches(word, plain, NEAREST, 0.8), re.findall(r'\d', name)
-    near = near or [plain[key] for key in close if re.search('.*'.join(digits), key)]
-    if near:
-        return f'did you mean {" or ".join(near[:NEAREST])}'
+    similar = [known for key, known in plain.items() if word and key.startswith(word)]
+    # Other digits mean another sensor, so a similar name must contain all given digits in order.
+    words, digits = difflib.get_close_matches(word, plain, NEAREST, 0.8), re.findall(r'\d', name)
+    similar = similar or [plain[key] for key in words if re.search('.*'.join(digits), key)]
+    if similar:
+        return f'did you mean {" or ".join(similar[:NEAREST])}'
     more = f' (and {len(names) - LISTED_NAMES} more)' if len(names) > LISTED_NAMES else ''
     return f'choose one of {", ".join(names[:LISTED_NAMES])}{more}'
 
@@ -374,7 +380,7 @@ def _simplified(name: str) -> str:
 class PathLock:
     """A lock that lets only one process write the file at a path; the file need not exist.
 
-    A hidden file next to this file is locked, because the file is replaced whenever it is written.
+    A hidden file next to the file is locked, because the file itself is replaced by each writing.
     """
 
     def __init__(self, path: Path) -> None:
@@ -383,7 +389,7 @@ class PathLock:
         self._handle: int | None = None
 
     def acquire(self) -> str:
-        """Try to acquire the lock; return '' on success, else the process that owns the lock.
+        """Try to acquire the lock; return '' on success, otherwise a name of its owner as text.
 
         Raises AllanError if the lock file cannot be created.
         """
@@ -398,9 +404,9 @@ class PathLock:
                 if os.path.samestat(os.fstat(handle), os.stat(self._lock_file)):
                     self._handle = handle
             if self._handle is None:
-                os.close(handle)  # the lock file was released and removed before it was locked
+                os.close(handle)  # another process removed the lock file before this one locked it
                 continue
-            # if the disk is full, the number of the process is missing
+            # on a full disk, the lock file does not contain the process number
             with contextlib.suppress(OSError):
                 self._lock_file.write_text(f'{os.getpid()}\n')
         return ''
@@ -433,7 +439,7 @@ class PathLock:
 def _try_to_lock(handle: int) -> bool:
     """Lock an open file; return False if another process has locked it.
 
-    Windows and some file systems have no such locks. There, the result is always True.
+    Windows and some file systems have no such locks; on these, the result is always True.
     """
     try:
         import fcntl

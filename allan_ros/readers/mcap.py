@@ -41,21 +41,24 @@ RECORD_HEAD = struct.Struct('<BQ')
 """Opcode and length at the start of each record."""
 
 MESSAGE_HEAD = struct.Struct('<HIqQ')
-"""Channel, sequence number, log time, publish time."""
+"""First fields of a Message record: channel, sequence number, log time and publish time."""
 
 INDEX_HEAD = struct.Struct('<HI')
-"""Channel, and size in bytes of the pairs (log time, offset) that follow."""
+"""First fields of a MessageIndex record: channel, and size in bytes of the pairs (log time, offset)
+that follow."""
 
 CHUNK_HEAD = struct.Struct('<QQQI')
-"""First and last log time, decompressed size in bytes, CRC-32 (0: none)."""
+"""First fields of a Chunk record: first and last log time, decompressed size in bytes, and CRC-32,
+which is 0 if it is not stored."""
 
 CHUNK_INDEX_HEAD = struct.Struct('<QQQQI')
-"""First and last log time, offset and length of the chunk, size in bytes of the map that follows.
-"""
+"""First fields of a ChunkIndex record: first and last log time, offset and length of the chunk, and
+size in bytes of the map from channel to offset that follows."""
 
 STATISTICS_HEAD = struct.Struct('<QHIIIIQQI')
-"""Numbers of messages, schemas, channels, attachments, metadata and chunks, first and last log
-time, and size in bytes of the map from channel to number of messages that follows."""
+"""First fields of a Statistics record: numbers of messages, schemas, channels, attachments,
+metadata records and chunks, first and last log time, and size in bytes of the map from channel to
+number of messages that follows."""
 
 CRC_BYTES = 4
 """Number of bytes of the CRC-32 of the summary, the last field of the footer."""
@@ -64,8 +67,8 @@ FOOTER_BYTES = RECORD_HEAD.size + FIXED_BYTES[FOOTER] + len(MAGIC)
 """Number of bytes of the footer and the magic after it, at the end of a file."""
 
 LOOSE_BYTES = 1 << 20
-"""Number of bytes after which a sequence of messages outside chunks ends, and another one starts.
-Each sequence is read at once."""
+"""Number of bytes from which a sequence of messages outside chunks is not extended further, because
+each sequence is read as a whole. The next message starts another sequence."""
 
 MAX_SORT_BYTES = 512 * 2**20
 """Largest size in bytes of the messages that are kept in memory to sort overlapping chunks."""
@@ -80,8 +83,8 @@ REMEDY = 'copy it again, or repair it with "mcap recover"'
 class Chunk:
     """A chunk of a file, or a sequence of messages outside chunks (``loose``).
 
-    ``start_ns`` is the smallest record time of its messages. ``offset`` and ``length`` are the
-    position of its content in the file, and ``next`` is the offset after its message index.
+    ``start_ns`` is the smallest record time of the messages. ``offset`` and ``length`` state where
+    the content is in the file. ``next`` is the offset after the content and the message index.
     """
 
     start_ns: int
@@ -97,9 +100,10 @@ class Contents:
 
     topics: dict[int, Topic] = field(default_factory=dict)
     schemas: dict[int, str] = field(default_factory=dict)  # number -> name of the type
-    counted: Counter[int] = field(default_factory=Counter)  # channel -> message records found
-    stated: Counter[int] = field(default_factory=Counter)  # channel -> messages by the statistics
-    totals: tuple[int, ...] = ()  # the numbers of `STATISTICS_HEAD`
+    counted: Counter[int] = field(default_factory=Counter)  # channel -> number of records read
+    # channel -> number of messages according to the Statistics record
+    stated: Counter[int] = field(default_factory=Counter)
+    totals: tuple[int, ...] = ()  # numbers of `STATISTICS_HEAD`; empty without a Statistics record
 
     def add(self, opcode: int, data: bytes, at: int, stop: int) -> None:
         """Count the message, or store the schema, channel or statistics in ``data[at:stop]``."""
@@ -121,15 +125,17 @@ class Contents:
             self.stated = Counter(dict(struct.iter_unpack('<HQ', data[at : min(at + size, stop)])))
 
     def check(self, opcode: int, data: bytes, at: int) -> None:
-        """Raise ValueError if a schema or channel in a chunk differs from the known one."""
+        """Raise ValueError if a schema or channel in a chunk contradicts the stored ones."""
         found = Contents(schemas=dict(self.schemas))
         found.add(opcode, data, at, at)
         for number, schema in self.schemas.items():
             if found.schemas[number] != schema:
-                raise ValueError(f'schema {number} is {found.schemas[number]} in a chunk only')
+                raise ValueError(
+                    f'schema {number} is {found.schemas[number]} in a chunk, but not elsewhere'
+                )
         for number, topic in found.topics.items():
-            known = self.topics.get(number)
-            if known is None or (known.name, known.type) != (topic.name, topic.type):
+            stored = self.topics.get(number)
+            if stored is None or (stored.name, stored.type) != (topic.name, topic.type):
                 raise ValueError(f'channel {number} is {topic.name} in a chunk, but not elsewhere')
 
 
@@ -145,36 +151,37 @@ class McapStorage:
         self._file = file
         self._size = os.fstat(file.fileno()).st_size
         self._chunks: list[Chunk] = []
-        self._indexed: Counter[int] = Counter()  # messages in MessageIndex and outside chunks
+        # channel -> number of messages in MessageIndex records and outside chunks
+        self._indexed: Counter[int] = Counter()
         self.truncation: Truncation | None = None
         if self._read(0, len(MAGIC)) != MAGIC:
             raise damaged(path, 'it is not an mcap file', 'give a recording')
-        self._contents, listed, end = self._read_summary()
+        self._contents, listed_chunks, end = self._read_summary()
         at = len(MAGIC)
-        for chunk in listed:
+        for chunk in listed_chunks:
             at = max(self._scan(at, chunk.offset - RECORD_HEAD.size), chunk.next)
             self._chunks.append(chunk)
         at = self._scan(at, end)
-        known = self._contents
-        if listed:
-            known.counted = Counter(known.stated)
+        contents = self._contents
+        if listed_chunks:
+            contents.counted = Counter(contents.stated)
         else:
-            known.stated = known.stated or known.counted | self._indexed
+            contents.stated = contents.stated or contents.counted | self._indexed
             magic_at = self._size - len(MAGIC)
             has_end = at >= magic_at > 0 and self._read(magic_at, len(MAGIC)) == MAGIC
             if not self.truncation and not has_end:
                 self.truncation = Truncation(at, self._size)
         self._chunks.sort()
-        self.topics = list(known.topics.values())
+        self.topics = list(contents.topics.values())
 
     def counts(self) -> dict[int, int]:
-        """Return topic id -> number of messages."""
+        """Return topic id -> number of messages in the file."""
         return dict(self._contents.counted)
 
     def stated(self, ids: set[int], read: int) -> int:
-        """Return how many messages of these topics the file contains, according to its index.
+        """Return how many messages of the topics ``ids`` the file contains according to its index.
 
-        ``read`` is the number of messages that were read. It is returned if there is no index.
+        Without an index, the number of messages that were read, ``read``, is returned.
         """
         if not self._contents.stated:
             return read
@@ -182,11 +189,11 @@ class McapStorage:
         return max(stated, read) if self.truncation else stated  # the index may be truncated, too
 
     def blocks(self, ids: set[int]) -> Iterator[Messages]:
-        """Yield all messages of these topics in blocks, in the order of record time."""
+        """Yield all messages of the topics ``ids`` in blocks, in the order of record time."""
         with translated(self._path, DAMAGE, REMEDY):
             pending = Messages.none()
-            ends = [chunk.start_ns for chunk in self._chunks[1:]] + [None]
-            for chunk, until in zip(self._chunks, ends):
+            next_starts = [chunk.start_ns for chunk in self._chunks[1:]] + [None]
+            for chunk, until in zip(self._chunks, next_starts):
                 ready, pending = sorted_until(until, pending, self._messages(chunk, ids))
                 yield ready
 
@@ -196,14 +203,14 @@ class McapStorage:
         channels: list[int] = []
         times: list[int] = []
         payloads: list[bytes | memoryview] = []
-        unpack, head_bytes, first = MESSAGE_HEAD.unpack_from, MESSAGE_HEAD.size, True
+        unpack, head_bytes, is_first = MESSAGE_HEAD.unpack_from, MESSAGE_HEAD.size, True
         for opcode, start, end in records(data):
             if opcode != MESSAGE:
                 self._contents.check(opcode, data, start)
                 continue
-            if first and (equal := equal_messages(data, start, end)) is not None:
-                return _of_channels(equal, ids)
-            first = False
+            if is_first and (equal_records := equal_messages(data, start, end)) is not None:
+                return _of_channels(equal_records, ids)
+            is_first = False
             if end - start < head_bytes:
                 raise struct.error('a message record is too short')
             channel, _, time_ns, _ = unpack(data, start)
@@ -231,60 +238,62 @@ class McapStorage:
         (stored,) = struct.unpack_from('<Q', data, at)
         packed = memoryview(data)[at + 8 : at + 8 + stored]
         try:
-            plain = decompress(packed, compression, min(size, MAX_CHUNK_BYTES))
-            if len(plain) != size:
-                raise ValueError(f'{len(plain)} bytes instead of {size}')
-            if checksum and zlib.crc32(plain) != checksum:
+            content = decompress(packed, compression, min(size, MAX_CHUNK_BYTES))
+            if len(content) != size:
+                raise ValueError(f'{len(content)} bytes instead of {size}')
+            if checksum and zlib.crc32(content) != checksum:
                 raise ValueError('its checksum is wrong')
         except ValueError as error:
             reason = f'the chunk at byte {chunk.offset} is damaged: {error}'
             raise damaged(self._path, reason, REMEDY) from error
-        return plain
+        return content
 
     def _read_summary(self) -> tuple[Contents, list[Chunk], int]:
         """Return the contents and chunks according to the summary, and the offset of the summary.
 
-        If the summary is missing, or its records contradict each other, there are no contents and
-        chunks, and the offset is the size of the file.
+        If the summary is missing, or its records contradict each other, the contents and the chunks
+        are empty, and the offset is the size of the file.
         """
-        unusable: tuple[Contents, list[Chunk], int] = (Contents(), [], self._size)
+        no_summary: tuple[Contents, list[Chunk], int] = (Contents(), [], self._size)
         footer = self._read(max(0, self._size - FOOTER_BYTES), FOOTER_BYTES)
         if not footer.endswith(MAGIC) or footer[0] != FOOTER:
-            return unusable
+            return no_summary
         start, _, checksum = struct.unpack_from('<QQI', footer, RECORD_HEAD.size)
         end = self._size - FOOTER_BYTES
         if not 0 < start <= end:
-            return unusable
+            return no_summary
         try:
             data = self._read(start, end - start)
             if checksum and zlib.crc32(data + footer[: -CRC_BYTES - len(MAGIC)]) != checksum:
-                return unusable
-            known = Contents()
+                return no_summary
+            contents = Contents()
             chunks: dict[int, Chunk] = {}
             channels: set[int] = set()
             for opcode, at, stop in records(data):
-                known.add(opcode, data, at, stop)
+                contents.add(opcode, data, at, stop)
                 if opcode == CHUNK_INDEX:
-                    chunk, inside = _listed_chunk(data, at)
+                    chunk, chunk_channels = _listed_chunk(data, at)
                     chunks[chunk.offset] = chunk
-                    channels |= inside
+                    channels |= chunk_channels
         except (struct.error, ValueError):
-            return unusable
-        counted = [known.stated.total(), len(known.topics), len(chunks)]
-        counts_agree = known.totals and [known.totals[i] for i in (0, 2, 5)] == counted
-        if not (counts_agree and all(counted) and channels | {*known.stated} <= {*known.topics}):
-            return unusable
-        return known, [chunks[offset] for offset in sorted(chunks)], start
+            return no_summary
+        counted = [contents.stated.total(), len(contents.topics), len(chunks)]
+        counts_agree = contents.totals and [contents.totals[i] for i in (0, 2, 5)] == counted
+        if not (
+            counts_agree and all(counted) and channels | {*contents.stated} <= {*contents.topics}
+        ):
+            return no_summary
+        return contents, [chunks[offset] for offset in sorted(chunks)], start
 
     def _scan(self, at: int, stop: int) -> int:
         """Read the records from offset ``at`` on, and return the offset of the first unread byte.
 
         Reading ends at the offset ``stop``, or at the first record that extends beyond ``stop``.
         """
-        skipped = 0
+        damaged_bytes = 0
         while at + RECORD_HEAD.size <= stop:
             head = self._read(at, RECORD_HEAD.size)
-            if head.startswith(MAGIC):  # after the footer
+            if head.startswith(MAGIC):  # the magic follows the footer
                 at += len(MAGIC)
                 continue
             opcode, length = RECORD_HEAD.unpack(head)
@@ -292,7 +301,7 @@ class McapStorage:
             if end > stop or opcode == 0:
                 break
             if FIXED_BYTES.get(opcode, length) != length or DATA_END < opcode <= LAST_OPCODE:
-                skipped += end - at
+                damaged_bytes += end - at
             elif opcode == CHUNK:
                 first, _, _, _ = CHUNK_HEAD.unpack(self._read(start, CHUNK_HEAD.size))
                 self._chunks.append(Chunk(first, start, length, end))
@@ -309,21 +318,26 @@ class McapStorage:
             elif opcode in (SCHEMA_OPCODE, CHANNEL, STATISTICS_OPCODE):
                 self._contents.add(opcode, self._read(start, length), 0, length)
             at = end
-        if skipped:
-            self.truncation = Truncation(self._size - skipped, self._size)
+        if damaged_bytes:
+            self.truncation = Truncation(self._size - damaged_bytes, self._size)
         return at
 
     def _add_loose(self, head: bytes, offset: int, end: int) -> None:
         """Add a message record outside chunks to the list of chunks.
 
-        ``head`` is the start of its content, ``offset`` and ``end`` are its first byte and the byte
-        after it. Adjacent messages form one chunk.
+        ``head`` is the start of the content of the record. The record begins at ``offset`` in the
+        file and stops before ``end``. Adjacent messages form one chunk.
         """
         channel, _, log_time, _ = MESSAGE_HEAD.unpack(head)
         self._indexed[channel] += 1
-        last = self._chunks[-1] if self._chunks else None
-        if last and last.loose and last.next == offset and last.length < LOOSE_BYTES:
-            log_time, offset = min(last.start_ns, log_time), last.offset
+        last_chunk = self._chunks[-1] if self._chunks else None
+        if (
+            last_chunk
+            and last_chunk.loose
+            and last_chunk.next == offset
+            and last_chunk.length < LOOSE_BYTES
+        ):
+            log_time, offset = min(last_chunk.start_ns, log_time), last_chunk.offset
             self._chunks.pop()
         self._chunks.append(Chunk(log_time, offset, end - offset, end, loose=True))
 
@@ -365,7 +379,7 @@ def open_storage(path: Path, shown: Path) -> Iterator[McapStorage]:
 def records(data: bytes) -> Iterator[tuple[int, int, int]]:
     """Yield the opcode of each record in the data, and the start and end offset of its content.
 
-    Raises struct.error when a record extends beyond the end of the data.
+    Raises struct.error when a record extends beyond the end of the data, or has the opcode 0.
     """
     at, size, unpack, head_bytes = 0, len(data), RECORD_HEAD.unpack_from, RECORD_HEAD.size
     while at + head_bytes <= size:
@@ -378,18 +392,18 @@ def records(data: bytes) -> Iterator[tuple[int, int, int]]:
 
 
 def equal_messages(data: bytes, start: int, end: int) -> NDArray[np.void] | None:
-    """Return all message records from a first one on, (n,), without copying them.
+    """Return the message records in the rest of ``data``, (n,), without copying them.
 
-    The content of the first record is ``data[start:end]``. Returns None if a record until the end
-    of the data is not a message record, or has another length.
+    The content of the first of these records is ``data[start:end]``. Returns None if any record
+    after it is not a message record, or has another length.
     """
     first, length = start - RECORD_HEAD.size, end - start
-    count, rest = divmod(len(data) - first, RECORD_HEAD.size + length)
-    if rest or length <= MESSAGE_HEAD.size:
+    count, rest_bytes = divmod(len(data) - first, RECORD_HEAD.size + length)
+    if rest_bytes or length <= MESSAGE_HEAD.size:
         return None
-    found = np.ndarray((count,), _message_dtype(length), data, first)
-    is_equal = (found['opcode'] == MESSAGE) & (found['length'] == length)
-    return found if is_equal.all() else None
+    message_records = np.ndarray((count,), _message_dtype(length), data, first)
+    is_equal = (message_records['opcode'] == MESSAGE) & (message_records['length'] == length)
+    return message_records if is_equal.all() else None
 
 
 @lru_cache(maxsize=64)
@@ -399,24 +413,28 @@ def _message_dtype(length: int) -> np.dtype[Any]:
     return np.dtype([*fields, ('payload', f'V{length - MESSAGE_HEAD.size}')])
 
 
-def _of_channels(found: NDArray[np.void], ids: set[int]) -> Messages:
-    mine = among(found['channel'], ids)
-    if not mine.all():
-        found = found[mine]
-    return Messages(found['channel'], found['log_time'].astype(np.int64), found['payload'])
+def _of_channels(message_records: NDArray[np.void], ids: set[int]) -> Messages:
+    is_selected = among(message_records['channel'], ids)
+    if not is_selected.all():
+        message_records = message_records[is_selected]
+    return Messages(
+        message_records['channel'],
+        message_records['log_time'].astype(np.int64),
+        message_records['payload'],
+    )
 
 
 def sorted_until(
     until: int | None, pending: Messages, chunk: Messages
 ) -> tuple[Messages, Messages]:
-    """Sort messages by record time; return the messages before ``until``, and the later messages.
+    """Sort messages by record time, and split them into messages before ``until`` and later ones.
 
     Parameters
     ----------
     until : int or None
         First record time of the next chunk in ns; None after the last chunk.
     pending : Messages
-        The later messages that the previous call returned.
+        The later messages that the previous call returned; they are sorted, too.
     chunk : Messages
         The messages of the present chunk.
 
@@ -429,10 +447,12 @@ def sorted_until(
     is_complete = until is None or not len(times) or times[-1] < until
     if is_complete and not len(pending) and (times[1:] >= times[:-1]).all():
         return chunk, pending
-    both = pending.followed_by(chunk)
-    order = np.argsort(both.record_ns, kind='stable')
-    ready = len(order) if until is None else int(np.searchsorted(both.record_ns[order], until))
-    later = both.chosen(order[ready:])
+    messages = pending.followed_by(chunk)
+    order = np.argsort(messages.record_ns, kind='stable')
+    n_ready = (
+        len(order) if until is None else int(np.searchsorted(messages.record_ns[order], until))
+    )
+    later = messages.chosen(order[n_ready:])
     if sum(map(len, later.payloads)) > MAX_SORT_BYTES:
         raise ValueError(f'chunks overlap by more than {MAX_SORT_BYTES} bytes')
-    return both.chosen(order[:ready]), later
+    return messages.chosen(order[:n_ready]), later

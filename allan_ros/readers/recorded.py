@@ -57,7 +57,7 @@ class Provenance:
     def __add__(self, other: Provenance) -> Provenance:
         """Return the combined provenance, with the settings of ``self``.
 
-        A finding that both have occurs only once.
+        A finding that is in both provenances occurs only once in the result.
         """
         counts = deepcopy(self.counts)
         counts.add(other.counts)
@@ -73,7 +73,7 @@ class Provenance:
 
     @property
     def start(self) -> datetime | None:
-        """Time of the first sample in UTC; None if the stamps are not dates."""
+        """Time of the first sample in UTC; None if the stamps do not count from 1970."""
         start_s = min((s.start_ns for s in self.segments), default=0) // NANOSECONDS
         return datetime.fromtimestamp(start_s, timezone.utc) if start_s >= EARLIEST_S else None
 
@@ -90,12 +90,13 @@ class RecordingSums:
     """
 
     name: str  # path of the first recording
-    sums: tuple[AllanSums, ...]  # one for all axes, or one per sensor if the rates differ
+    sums: tuple[AllanSums, ...]  # one for all axes, or one for each sensor if the rates differ
     provenance: Provenance = field(default_factory=Provenance)
     signals: tuple[SignalEnvelope, ...] = ()  # one per recording
-    temperatures: tuple[TemperatureTrace | None, ...] = ()  # one per recording, if it was read
+    # one per recording; None for a recording without temperature
+    temperatures: tuple[TemperatureTrace | None, ...] = ()
     events: tuple[Event, ...] = ()  # shocks, motions and changes of the noise
-    drives: Drives = NO_DRIVES  # between two rests
+    drives: Drives = NO_DRIVES  # motions between two rests
 
     def __add__(self, other: RecordingSums) -> RecordingSums:
         """Return the Allan sums of both recordings together.
@@ -124,8 +125,9 @@ class RecordingSums:
     def temperature_readings(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
         """Return the times in ns, (n,), and values in degC, (n,), of all temperature readings.
 
-        The readings are sorted by time. The times are header stamps if at least two of these lie
-        between the first and the last sample. Otherwise they are record times.
+        The readings are sorted by time. For each recording, the times are header stamps if at least
+        two of the header stamps lie between the first and the last sample. Otherwise, the times are
+        record times.
         """
         used = self.provenance.segments
         begin = min((s.start_ns for s in used), default=0)
@@ -151,7 +153,7 @@ class RecordingSums:
 
 @dataclass(frozen=True)
 class ReadJob:
-    """The path of a recording and the settings for reading it, which another process can use.
+    """The path of a recording and the settings for reading it, which can be sent to a process.
 
     ``with_context`` requests the data for a report: signals and events.
     """
@@ -214,29 +216,31 @@ def _read_topic(
             signal.update(batch)
         advance(len(batch))
     stream.end()
-    known = stream.result()
+    streamed = stream.result()
     findings = tuple(
         f
-        for f in (*recording.findings, *known.findings)
+        for f in (*recording.findings, *streamed.findings)
         if not f.axes or not {*f.axes}.isdisjoint(recording.axes)
     )
     findings += _other_topic(recording, findings)
-    counts = known.health.counts
-    if not known.sums:
+    counts = streamed.health.counts
+    if not streamed.sums:
         raise _no_data(job, recording.info.topic, counts, findings)
     settings = {
         **asdict(job.segmenter),
         **asdict(recording.options),
         'hardware_id': job.hardware_id,
     }
-    provenance = Provenance((recording.info,), known.segments, findings, counts, settings)
-    temperatures = (recording.temperature(known.sums[0].identity.frame_id),)
+    provenance = Provenance((recording.info,), streamed.segments, findings, counts, settings)
+    temperatures = (recording.temperature(streamed.sums[0].identity.frame_id),)
     if not job.with_context:
         return RecordingSums(
-            job.path, known.sums, provenance, temperatures=temperatures, drives=stream.drives()
+            job.path, streamed.sums, provenance, temperatures=temperatures, drives=stream.drives()
         )
-    events, drives = known.health.events, stream.drives()
-    return RecordingSums(job.path, known.sums, provenance, (signal,), temperatures, events, drives)
+    events, drives = streamed.health.events, stream.drives()
+    return RecordingSums(
+        job.path, streamed.sums, provenance, (signal,), temperatures, events, drives
+    )
 
 
 def with_accel(
@@ -249,7 +253,7 @@ def with_accel(
     gyro, accel : sequence of AllanSums
         The sums of both topics.
     identity : ImuIdentity
-        Identity of the gyro, which the sums of the accelerometer get, too.
+        Identity of the IMU according to the gyro topic. The sums of the accelerometer get it, too.
     """
     return (*gyro, *(replace(sums, identity=identity) for sums in accel))
 
@@ -279,17 +283,17 @@ def _other_topic(recording: Recording, findings: Sequence[Finding]) -> tuple[Fin
 
 def _no_data(job: ReadJob, topic: str, counts: Counts, findings: Sequence[Finding]) -> AllanError:
     causes = [f for f in findings if f.id not in ('nothing_left', 'unit_assumed')]
-    worst = min((SEVERITIES.index(f.severity) for f in causes), default=0)
-    named = tuple(f for f in causes if SEVERITIES.index(f.severity) == worst)
+    worst_severity = min((SEVERITIES.index(f.severity) for f in causes), default=0)
+    worst_causes = tuple(f for f in causes if SEVERITIES.index(f.severity) == worst_severity)
     why = ''
     if counts.skipped and counts.skipped == counts.received:
-        named = ()
+        worst_causes = ()
         why = f' --skip {job.segmenter.skip:g} (s) excludes the complete recording: reduce it'
-    elif not named:
+    elif not worst_causes:
         why = ' it is too short' if counts.received else ' it has no samples'
     samples = f'{counts.received:,} sample' + 's' * (counts.received != 1)
     where = f'{job.path}: topic {topic}' if job.reading.accel_topic else job.path
-    return AllanError(f'{where}: no static data in {samples}:{why}', named)
+    return AllanError(f'{where}: no static data in {samples}:{why}', worst_causes)
 
 
 def _share_a_segment(a: AllanSums, b: AllanSums) -> bool:
@@ -298,11 +302,13 @@ def _share_a_segment(a: AllanSums, b: AllanSums) -> bool:
     Two segments with equal block means have the same samples, because noise never repeats.
     """
     return any(
-        (one.samples, one.start_ns) == (other.samples, other.start_ns)
-        and np.array_equal(x.reference, y.reference)
-        and np.array_equal(one.coarser(other.step).values, other.coarser(one.step).values)
-        for x, y in product(a.recordings, b.recordings)
-        for one, other in product(x.means, y.means)
+        (means_a.samples, means_a.start_ns) == (means_b.samples, means_b.start_ns)
+        and np.array_equal(recording_a.reference, recording_b.reference)
+        and np.array_equal(
+            means_a.coarser(means_b.step).values, means_b.coarser(means_a.step).values
+        )
+        for recording_a, recording_b in product(a.recordings, b.recordings)
+        for means_a, means_b in product(recording_a.means, recording_b.means)
     )
 
 
@@ -411,7 +417,7 @@ def add_recordings(recordings: Iterable[RecordingSums]) -> RecordingSums:
 def _with_both_sensors(recordings: Sequence[RecordingSums]) -> Sequence[RecordingSums]:
     """Join each recording of a gyro with the recording of an accelerometer from the same time.
 
-    Unless all recordings form such pairs, they are returned unchanged.
+    If any recording is not a part of such a pair, all recordings are returned unchanged.
     """
     sensors = [{sensor_of(axis) for s in r.sums for axis in s.axes} for r in recordings]
     gyros, accels = (
@@ -426,7 +432,7 @@ def _with_both_sensors(recordings: Sequence[RecordingSums]) -> Sequence[Recordin
 
 
 def _overlap(one: RecordingSums, other: RecordingSums) -> bool:
-    """Return whether two recordings have more than `MIN_OVERLAP` of the longer one in common."""
+    """Return whether two recordings overlap for more than `MIN_OVERLAP` of the longer recording."""
     ranges = []
     for each in (one, other):
         times = [(s.start_ns * 1e-9, s.duration_s) for s in each.provenance.segments]
@@ -437,8 +443,8 @@ def _overlap(one: RecordingSums, other: RecordingSums) -> bool:
 
 
 MIN_OVERLAP = 0.5
-"""Share of the longer of two recordings that must overlap the other recording, so that both are
-taken as made at the same time."""
+"""Two recordings are taken as made at the same time if they overlap for more than this share of the
+duration of the longer recording."""
 
 
 def _start_ns(recorded: RecordingSums) -> tuple[int, int]:

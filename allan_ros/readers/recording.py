@@ -31,17 +31,17 @@ if TYPE_CHECKING:
     from ..core.stream.signal import TemperatureTrace
 
 BATCH = 32768
-"""Number of samples per batch: few enough for the processor cache, and so many that the time per
-batch is negligible."""
+"""Number of samples per batch. A batch fits into the processor cache, and is so large that the
+overhead for each batch is negligible."""
 
 METADATA = 'metadata.yaml'
 
 MAX_CHUNK_BYTES = 128 * 2**20
-"""Largest size in bytes of a chunk or record, compressed or not; recorders write about 1 MB."""
+"""Largest size in bytes of a chunk or record, compressed or not. Recorders write about 1 MB."""
 
 MAX_FILE_RATIO = 250
-"""Largest permitted ratio of the decompressed size to the size of a file, without
-`MAX_CHUNK_BYTES`, which are always permitted in addition."""
+"""Largest permitted ratio of the decompressed size of a file to its compressed size. A further
+`MAX_CHUNK_BYTES` are permitted in addition."""
 
 Report = Callable[[Finding], None]
 """Function that a reader calls with each finding."""
@@ -52,17 +52,17 @@ class ReadOptions(CheckedSettings):
     """Options for reading a recording: its topic or columns, units, and sample rate."""
 
     topic: str = parameter(
-        '', 'Imu topic of a bag, or instance of a log; needed only if there are several'
+        '', 'Imu topic of a bag, or IMU topic of a PX4 log; needed only if there are several topics'
     )
     accel_topic: str = parameter(
         '',
-        'Imu topic of a bag with the accelerometer, if the topic has only the gyro; it may have '
-        'another rate',
+        'second Imu topic of a bag, with the accelerometer, if the first has only the gyro; the '
+        'rates may differ',
     )
     columns: tuple[str, ...] = parameter(
         (),
-        'columns of a table: a name for each (- leaves one out), or gx=NAME,gy=NAME,... for '
-        'columns picked by their names in the header',
+        'columns of a table: a name for each column (- excludes a column), or gx=NAME,gy=NAME,... '
+        'with the names in the header of the columns to use',
     )
     rate_hz: float = parameter(
         0.0, 'sample rate of a table or array without stamps; 0: not given', unit='Hz', low=0.0
@@ -79,29 +79,29 @@ class ReadOptions(CheckedSettings):
     )
     gyro_counts: float = parameter(
         1.0,
-        'raw counts of the gyro per unit, its sensitivity in the datasheet, such as 131 with '
-        '--gyro-unit deg/s',
+        'raw counts of the gyro per --gyro-unit (the sensitivity in the datasheet), such as 131 '
+        'with --gyro-unit deg/s',
         low=1e-12,
         high=1e12,
     )
     accel_counts: float = parameter(
         1.0,
-        'raw counts of the accelerometer per unit, such as 16384 with --accel-unit g',
+        'raw counts of the accelerometer per --accel-unit, such as 16384 with --accel-unit g',
         low=1e-12,
         high=1e12,
     )
     stamp_unit: str = parameter(
         '',
-        'unit of the stamp column of a table or array; empty: as stated in its name, else '
-        'recognized from the stamps',
+        'unit of the stamp column of a table or array; empty: as stated in the name of the column, '
+        'else recognized from the stamps',
         choices=('', *STAMP_UNITS),
     )
 
     def in_si(self, batch: ImuBatch) -> ImuBatch:
         """Return a batch whose samples are converted from the units of the options to SI."""
-        known = self.with_units()
+        options = self.with_units()
         counts = np.repeat([self.gyro_counts, self.accel_counts], 3)
-        factors = sample_factors(known.gyro_unit, known.accel_unit) / counts
+        factors = sample_factors(options.gyro_unit, options.accel_unit) / counts
         if (factors == 1.0).all():
             return batch
         return replace(batch, samples=batch.samples * factors)
@@ -109,7 +109,8 @@ class ReadOptions(CheckedSettings):
     def with_units(self, found: Mapping[str, str] = {}) -> ReadOptions:
         """Return the options with a unit for each sensor.
 
-        The unit is taken from ``found`` (sensor -> unit), else from the options. The default is SI.
+        The unit is taken from ``found`` (sensor -> unit), otherwise from the options. If neither
+        contains a unit, it is SI.
         """
         gyro = found.get('gyro') or self.gyro_unit or SAMPLE_SI['gyro']
         accel = found.get('accel') or self.accel_unit or SAMPLE_SI['accel']
@@ -145,20 +146,20 @@ class Recording:
     info : SourceInfo
         Where the samples come from.
     messages : int or None
-        Number of samples that the recording states; None if it states none.
+        Number of samples according to the recording; None if the recording does not state it.
     read : callable
-        Yields the samples in batches, and calls its argument with each finding.
+        Function that yields the samples in batches, and calls its argument with each finding.
     temperature : callable
-        Returns the temperature of the IMU with a frame_id, after the samples have been read; None
-        if it is not recorded.
+        Function that returns the temperature over time of the IMU with a given frame_id, or None
+        if the temperature is not recorded. It is called after the samples have been read.
     options : ReadOptions
         The options, with the units that were found or assumed.
     axes : tuple of str
         Axes that the recording can contain.
     close : callable
-        Closes the file; the next reading opens it again.
+        Function that closes the file; the next reading opens the file again.
     accel : Recording or None
-        Recording of the accelerometer if this sensor has its own topic.
+        Recording of the accelerometer if this sensor has a separate topic; None otherwise.
     other_topics : sequence of str
         Imu topics of the bag that are not read, the most similar name first.
     findings : tuple of Finding
@@ -218,7 +219,7 @@ def damaged(path: Path, reason: object, remedy: str) -> AllanError:
 
 @contextmanager
 def translated(path: Path, errors: tuple[type[Exception], ...], remedy: str) -> Iterator[None]:
-    """Convert exceptions of the types ``errors`` in the block to the AllanError of `damaged`."""
+    """Convert exceptions of the types ``errors`` in a with block to the AllanError of `damaged`."""
     try:
         yield
     except AllanError:
@@ -233,7 +234,7 @@ def optional_package(module: str, purpose: str) -> Any:
         return import_module(module)
     except ImportError:
         package = module.split('.')[0]
-        # Ubuntu does not let pip install into the system (PEP 668)
+        # on Ubuntu, pip cannot install into the system (PEP 668)
         by_apt = f' or "apt install python3-{package}"' if package in ('lz4', 'zstandard') else ''
         raise AllanError(
             f'{purpose} needs the Python package {package!r}: "pip install {package}"{by_apt}'
@@ -243,7 +244,7 @@ def optional_package(module: str, purpose: str) -> Any:
 def first_bytes(path: Path) -> bytes:
     """Return the first 64 bytes of a file.
 
-    Raises AllanError when it is missing, unreadable, not a regular file, empty, or a Git-LFS
+    Raises AllanError when the file is missing, unreadable, not regular, empty, or a Git-LFS
     pointer.
     """
     try:

@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Read the samples of an Imu topic, and the temperature of the IMU, from a bag.
 
-The Imu topic is selected by its type. Messages are decoded in blocks, so the memory does not depend
-on the size of the bag.
+The Imu topic is found by its message type. Messages are decoded in blocks, so the required memory
+does not depend on the size of the bag.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ class Survey:
 
     topics: dict[Key, Topic] = field(default_factory=dict)
     counts: Counter[Key] = field(default_factory=Counter)
-    truncation: Truncation | None = None  # of the first truncated file
+    truncation: Truncation | None = None  # truncation of the first truncated file
 
     def listed(self, keys: Iterable[Key]) -> str:
         """Return the name, type and number of messages of each of these topics, as text."""
@@ -78,8 +78,8 @@ class Survey:
 
 
 MAX_TOPICS = 100
-"""Largest number of Imu topics of a bag that are all analyzed. Each topic is read separately, so
-the user must select one of a larger number."""
+"""Largest number of Imu topics with which all topics of a bag are analyzed. Each topic is read
+separately, so the user must select one topic if there are more."""
 
 
 def imu_topics(path: Path) -> list[str]:
@@ -89,21 +89,21 @@ def imu_topics(path: Path) -> list[str]:
     bag has more than `MAX_TOPICS` Imu topics. Raises AllanError when the bag cannot be read.
     """
     bag = bag_of(path)
-    found: dict[Key, None] = {}
+    imu_keys: dict[Key, None] = {}
     for file in bag.files if bag.described is None else ():
         topics = bag.storage(file).topics
-        found |= {(t.name, t.type): None for t in topics if t.type == IMU_TYPE}
-    # counting the messages of an sqlite3 file reads it completely
-    imus = [*found] if len(found) == 1 else survey_bag(bag).imus()
+        imu_keys |= {(t.name, t.type): None for t in topics if t.type == IMU_TYPE}
+    # with one topic, messages are not counted: this would read an sqlite3 file completely
+    imus = [*imu_keys] if len(imu_keys) == 1 else survey_bag(bag).imus()
     bag.close()
     return [name for name, _ in imus] if len(imus) <= MAX_TOPICS else []
 
 
 def survey_bag(bag: Bag) -> Survey:
-    """Return the topics of a bag and their numbers of messages.
+    """Return the topics of a bag, and the number of messages of each topic.
 
-    They are taken from metadata.yaml. If this file is missing, or states no Imu message, which may
-    be wrong, the messages in all files are counted.
+    The numbers are taken from metadata.yaml. If this file is missing, or states no Imu messages,
+    which may be wrong, the messages in all files are counted.
     """
     described = bag.described or {}
     survey = Survey(
@@ -138,13 +138,13 @@ def chosen_topic(path: Path, survey: Survey, wanted: str, accel_topic: str = '')
     wanted : str
         Name of a topic, with or without a leading slash; '' for the only Imu topic.
     accel_topic : str
-        Topic with only the accelerometer, which is returned only if it is ``wanted``.
+        Topic with only the accelerometer. It is returned only if ``wanted`` is its name.
 
     Raises
     ------
     AllanError
-        When there is no such topic, when there are several, or when the messages of the topic are
-        missing or cannot be decoded.
+        When there is no such topic, when ``wanted`` is '' and there are several Imu topics, or when
+        the messages of the topic are missing or cannot be decoded.
     """
     imus = [key for key in survey.imus() if key[0].lstrip('/') != accel_topic.lstrip('/')]
     candidates = [_named(path, survey, wanted)] if wanted else imus
@@ -174,25 +174,29 @@ def no_message(path: Path, name: str) -> AllanError:
 
 def _named(path: Path, survey: Survey, wanted: str) -> Key:
     """Return the Imu topic with the name ``wanted``, with or without a leading slash."""
-    keys = [key for key in survey.topics if key[0].lstrip('/') == wanted.lstrip('/')]
-    imus = [key for key in survey.topics if key[1] == IMU_TYPE]
-    matching = [key for key in keys if key in imus]
+    topic_keys = [key for key in survey.topics if key[0].lstrip('/') == wanted.lstrip('/')]
+    imu_keys = [key for key in survey.topics if key[1] == IMU_TYPE]
+    matching = [key for key in topic_keys if key in imu_keys]
     if matching:
         return matching[0]
-    if not keys:
-        shown = survey.listed(imus or survey.topics) or 'none'
-        problem = f'has no topic {wanted}; it has {shown}: check --topic'
+    if not topic_keys:
+        existing = survey.listed(imu_keys or survey.topics) or 'none'
+        problem = f'has no topic {wanted}; it has {existing}: check --topic'
     else:
         problem = (
-            f'topic {wanted} is of type {keys[0][1]}, not sensor_msgs/Imu: choose another with '
-            '--topic'
+            f'topic {wanted} is of type {topic_keys[0][1]}, not sensor_msgs/Imu: choose another '
+            'with --topic'
         )
     raise AllanError(f'{path}: {problem}')
 
 
 def _no_imu(path: Path, survey: Survey) -> AllanError:
-    cut = survey.truncation
-    read = f'; only {cut.read} of {cut.size} bytes could be read (copy it again)' if cut else ''
+    truncation = survey.truncation
+    read = (
+        f'; only {truncation.read} of {truncation.size} bytes could be read (copy it again)'
+        if truncation
+        else ''
+    )
     busiest = sorted(survey.topics, key=lambda key: (-survey.counts[key], key))
     return AllanError(
         f'{path}: no sensor_msgs/Imu topic; it has {survey.listed(busiest) or "no topic"}{read}: '
@@ -243,15 +247,15 @@ class _Reader:
     topic: Topic
     options: ReadOptions
     thermometers: list[Topic]
-    # for each thermometer, record time in ns and bytes of a part of its messages
+    # for each Temperature topic, record time in ns and payload of a part of the messages
     _temperatures: list[Decimated[tuple[int, bytes]]] = field(default_factory=list)
     # sensor -> number of messages that wrongly declare the sensor absent
-    _kept: Counter[str] = field(default_factory=Counter)
+    _wrongly_absent: Counter[str] = field(default_factory=Counter)
 
     def read(self, report: Report) -> Iterator[ImuBatch]:
         """Yield the samples of all files in order, in SI; call ``report`` with each finding."""
         self._temperatures = [Decimated() for _ in self.thermometers]
-        self._kept.clear()
+        self._wrongly_absent.clear()
         bag, key, total = self.bag, (self.topic.name, self.topic.type), 0
         stated = bag.described or {}
         for file in bag.files:
@@ -268,23 +272,25 @@ class _Reader:
         bag.close()
         if key in stated:
             _compare(stated[key].messages, total, bag.path / METADATA, report)
-        for sensor, count in sorted(self._kept.items()):
+        for sensor, count in sorted(self._wrongly_absent.items()):
             axes = AXES[SENSORS[sensor]]
             report(finding('covariance_ignored', axes, count=count, sensor=sensor, read=total))
         if not total:
             raise no_message(bag.path, self.topic.name)
 
     def _blocks(self, storage: Storage) -> Iterator[Messages]:
-        mine, *others = (_ids(storage, topic) for topic in (self.topic, *self.thermometers))
-        for block in storage.blocks(mine.union(*others)):
-            for numbers, kept in zip(others, self._temperatures):
-                for row in np.flatnonzero(among(block.topics, numbers)).tolist():
-                    kept.add((int(block.record_ns[row]), bytes(block.payloads[row])))
-            rows = np.flatnonzero(among(block.topics, mine))
+        imu_ids, *thermometer_ids = (
+            _ids(storage, topic) for topic in (self.topic, *self.thermometers)
+        )
+        for block in storage.blocks(imu_ids.union(*thermometer_ids)):
+            for topic_ids, messages in zip(thermometer_ids, self._temperatures):
+                for row in np.flatnonzero(among(block.topics, topic_ids)).tolist():
+                    messages.add((int(block.record_ns[row]), bytes(block.payloads[row])))
+            rows = np.flatnonzero(among(block.topics, imu_ids))
             yield block if len(rows) == len(block) else block.chosen(rows)
 
     def _decoded(self, file: Path, blocks: Iterable[Messages]) -> Iterator[ImuBatch]:
-        done = 0  # number of messages of this file that were decoded before the block
+        done = 0  # number of messages of this file that were decoded before the present block
         for block in blocks:
             try:
                 imus = decode_imus(_decompressed(block.payloads), _encoding(self.topic))
@@ -293,25 +299,29 @@ class _Reader:
                     f'{file}: message {done + error.index + 1} of {self.topic.name} is not '
                     f'a {self.topic.type} ({error}): record it again'
                 ) from error
-            self._kept.update(imus.kept)
+            self._wrongly_absent.update(imus.kept)
             yield from imus.batches(block.record_ns)
             done += len(block)
 
     def temperature(self, frame_id: str) -> TemperatureTrace | None:
-        """Return the temperature of the IMU over time; None if its topic cannot be determined.
+        """Return the temperature over time; None if the topic of this IMU cannot be determined.
 
         If there are several Temperature topics, the topic with the ``frame_id`` of the IMU is used.
         """
-        found = [
-            (topic, [t for message in kept if (t := _temperature(topic, *message))])
-            for topic, kept in zip(self.thermometers, self._temperatures)
+        readings_by_topic = [
+            (topic, [t for message in messages if (t := _temperature(topic, *message))])
+            for topic, messages in zip(self.thermometers, self._temperatures)
         ]
-        if len(found) > 1:
-            found = [(topic, read) for topic, read in found if read and read[0][1] == frame_id]
-        if len(found) != 1:
+        if len(readings_by_topic) > 1:
+            readings_by_topic = [
+                (topic, readings)
+                for topic, readings in readings_by_topic
+                if readings and readings[0][1] == frame_id
+            ]
+        if len(readings_by_topic) != 1:
             return None
-        ((topic, read),) = found
-        return trace_of(topic.name, [reading for reading, _ in read])
+        ((topic, readings),) = readings_by_topic
+        return trace_of(topic.name, [reading for reading, _ in readings])
 
 
 def _ids(storage: Storage, topic: Topic) -> set[int]:
@@ -345,24 +355,24 @@ def _decompressed(payloads: Payloads) -> Payloads:
     compression = frame_compression(bytes(payloads[0])) if len(payloads) else ''
     if not compression:
         return payloads
-    plain: list[bytes | memoryview] = []
+    decompressed: list[bytes | memoryview] = []
     size = 0
     for payload in payloads:
         try:
-            plain.append(decompress(bytes(payload), compression, MAX_MESSAGE_BYTES))
-            size += len(plain[-1])
+            decompressed.append(decompress(bytes(payload), compression, MAX_MESSAGE_BYTES))
+            size += len(decompressed[-1])
             if size > MAX_CHUNK_BYTES:
                 raise ValueError(f'messages expand to more than {MAX_CHUNK_BYTES} bytes')
         except ValueError as error:
-            raise MalformedMessage(len(plain), f'{compression} {error}') from error
-    return plain
+            raise MalformedMessage(len(decompressed), f'{compression} {error}') from error
+    return decompressed
 
 
 TEMPERATURE_TYPE = 'sensor_msgs/msg/Temperature'
 
 MAX_THERMOMETERS = 16
-"""Largest number of Temperature topics whose names are equally similar to the Imu topic. With more
-topics, no temperature is read."""
+"""Largest number of Temperature topics that are read. If more topics share the longest namespace
+with the Imu topic, no temperature is read."""
 
 
 def _thermometers(topics: Sequence[Topic], imu_topic: str) -> list[Topic]:
@@ -370,17 +380,17 @@ def _thermometers(topics: Sequence[Topic], imu_topic: str) -> list[Topic]:
 
     The list is empty if there are more than `MAX_THERMOMETERS` such topics.
     """
-    found = [topic for topic in topics if topic.type == TEMPERATURE_TYPE]
-    most = max((_shared(topic.name, imu_topic) for topic in found), default=0)
-    nearest = [topic for topic in found if _shared(topic.name, imu_topic) == most]
+    temperature_topics = [topic for topic in topics if topic.type == TEMPERATURE_TYPE]
+    longest = max((_shared(topic.name, imu_topic) for topic in temperature_topics), default=0)
+    nearest = [topic for topic in temperature_topics if _shared(topic.name, imu_topic) == longest]
     return nearest if len(nearest) <= MAX_THERMOMETERS else []
 
 
 def _shared(name: str, other: str) -> int:
     """Return how many parts at the start of two topic names are equal; '/' separates the parts."""
     pairs = list(zip(name.strip('/').split('/'), other.strip('/').split('/')))
-    equal = [a == b for a, b in pairs]
-    return equal.index(False) if False in equal else len(equal)
+    parts_are_equal = [a == b for a, b in pairs]
+    return parts_are_equal.index(False) if False in parts_are_equal else len(parts_are_equal)
 
 
 def _temperature(

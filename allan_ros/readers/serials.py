@@ -16,7 +16,7 @@ from .files import open_regular, read_yaml
 from .recording import METADATA
 
 LONGEST_LINE = 100_000
-"""Largest number of bytes that are read of a line of a table."""
+"""Largest number of bytes that are read from each line of a table."""
 
 RULES = 'name:PATTERN, column:NAME or metadata:KEY'
 
@@ -27,15 +27,15 @@ class SerialRule:
     Parameters
     ----------
     text : str
-        ``name:PATTERN`` for the part of the file name that matches the first group of a regular
-        expression, or the complete expression if it has no group; ``column:NAME`` for the first
-        value in a column of a table, or in an array of an ``.npz`` file; ``metadata:KEY`` for the
-        custom data in the metadata of a rosbag2.
+        One of three forms. ``name:PATTERN`` is the part of the file name that matches the regular
+        expression PATTERN, or its first group if it has groups. ``column:NAME`` is the first value
+        in a column of a table, or in an array of an ``.npz`` file. ``metadata:KEY`` is a value of
+        the custom data in the metadata of a rosbag2.
 
     Raises
     ------
     AllanError
-        When ``text`` is none of these, or PATTERN is not a regular expression.
+        When ``text`` has none of these forms, or PATTERN is not a regular expression.
 
     Examples
     --------
@@ -52,7 +52,7 @@ class SerialRule:
                 self._pattern = re.compile(self._what)
             except re.error as error:
                 raise AllanError(
-                    f'--serial-from {text!r:.60} is no regular expression ({error}): correct it'
+                    f'--serial-from {text!r:.60} is not a regular expression ({error}): correct it'
                 ) from error
 
     def serial_of(self, path: str) -> str:
@@ -70,19 +70,19 @@ class SerialRule:
             found = _first_value(place, self._what)
         serial = one_line(str(found)).strip() if found is not None else ''
         if not serial or len(serial) > MAX_NAME:
-            where = {
-                'name': 'the pattern does not match its name',
+            problems = {
+                'name': 'the pattern does not match the file name',
                 'metadata': f'the bag has no custom data {self._what!r:.40}',
                 'column': f'it has no column {self._what!r:.40} with a value',
             }
             raise AllanError(
-                f'{path}: no serial number: {where[self._kind]}; correct --serial-from'
+                f'{path}: no serial number: {problems[self._kind]}; correct --serial-from'
             )
         return serial
 
 
 def _custom_data(place: Path) -> Mapping[str, Any]:
-    """Return the custom data in the metadata of a rosbag2; empty if it has none.
+    """Return the custom data in the metadata of a rosbag2; empty if the metadata contain none.
 
     Raises AllanError if there is no metadata.yaml.
     """
@@ -97,12 +97,12 @@ def _custom_data(place: Path) -> Mapping[str, Any]:
 
 
 def _first_value(place: Path, name: str) -> object:
-    """Return the first value in a column of a table or in an array; None if there is no value."""
+    """Return the first value in the column or array with a name; None if there is no value."""
     if place.suffix.lower() == '.npz':
         from .arrays import array_in
 
-        found = array_in(place, name).reshape(-1)
-        return found[0] if len(found) else None
+        values_of_array = array_in(place, name).reshape(-1)
+        return values_of_array[0] if len(values_of_array) else None
     if place.suffix.lower() not in ('.csv', '.tsv'):
         raise AllanError(f'{place}: a serial from a column needs a table or an .npz file')
     with open_regular(place) as file:
@@ -114,5 +114,5 @@ def _first_value(place: Path, name: str) -> object:
         return None
     delimiter = max(',;\t', key=lines[0].count)
     names, values = (next(csv.reader([line], delimiter=delimiter)) for line in lines)
-    known = dict(zip((each.strip() for each in names), values))
-    return known.get(name)
+    first_row = dict(zip((each.strip() for each in names), values))
+    return first_row.get(name)

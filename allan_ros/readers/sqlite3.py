@@ -20,7 +20,7 @@ from .files import open_regular
 from .recording import damaged, translated
 
 FETCHED_ROWS = 512
-"""Number of rows that are fetched from SQLite at a time, few enough for the processor cache."""
+"""Number of rows that are fetched from SQLite at a time; they fit into the processor cache."""
 
 BLOCK_ROWS = 4 * FETCHED_ROWS
 """Number of messages that are decoded together."""
@@ -49,7 +49,7 @@ class Sqlite3Storage:
             self.truncation = Truncation(size, pages * page_bytes)
 
     def _read_topics(self) -> list[Topic]:
-        # otherwise a view in place of a table could run an endless computation
+        # with a trusted schema, a view with the name of a table could run an endless computation
         self._query('PRAGMA trusted_schema = OFF')
         tables = {n for (n,) in self._query("SELECT name FROM sqlite_master WHERE type = 'table'")}
         if missing := {'topics', 'messages'} - tables:
@@ -74,7 +74,7 @@ class Sqlite3Storage:
         return self._counts
 
     def stated(self, ids: set[int], read: int) -> int:
-        """Return the number of messages of these topics in the table.
+        """Return the number of messages of the topics ``ids`` in the table.
 
         `blocks` finds the messages by the index on the record times, which can lack rows of the
         table if the file is damaged. ``read``, the number of messages that were read, is not used.
@@ -82,8 +82,8 @@ class Sqlite3Storage:
         return sum(self.counts().get(number, 0) for number in ids)
 
     def blocks(self, ids: set[int]) -> Iterator[Messages]:
-        """Yield all messages of these topics in blocks, in the order of record time."""
-        # the ids are selected only if there are several: a further column takes a tenth more time
+        """Yield all messages of the topics ``ids`` in blocks, in the order of record time."""
+        # topic ids are selected only for several topics, because this takes a tenth more time
         columns = 'timestamp, data' + ', topic_id' * (len(ids) > 1)
         with translated(self._path, _LIBRARY_ERRORS, REMEDY):
             rows = self._query(
@@ -122,14 +122,14 @@ def open_storage(path: Path, shown: Path) -> Iterator[Sqlite3Storage]:
     """
     # If the recorder was killed, a write-ahead log contains the last messages. Without a log, the
     # file is opened as immutable, which also works on read-only media.
-    log, shared = (path.with_name(f'{path.name}-{suffix}') for suffix in ('wal', 'shm'))
+    log, shared_memory = (path.with_name(f'{path.name}-{suffix}') for suffix in ('wal', 'shm'))
     with ExitStack() as stack:
         with translated(shown, _LIBRARY_ERRORS, REMEDY):
             size: int | None = os.fstat(stack.enter_context(open_regular(path)).fileno()).st_size
         mode = 'immutable=1'
         if log.is_file() and log.stat().st_size:
             mode, size = 'mode=ro', None
-            if not shared.is_file():  # SQLite would create the -shm file and not remove it
+            if not shared_memory.is_file():  # SQLite would create it and not remove it
                 folder = stack.enter_context(tempfile.TemporaryDirectory(prefix='allan_ros.'))
                 path = _copied(path, log, Path(folder), shown)
         with translated(shown, _LIBRARY_ERRORS, REMEDY):

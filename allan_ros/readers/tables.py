@@ -55,6 +55,7 @@ MAX_LINE = 1 << 20
 """Largest number of characters in a line of a table."""
 
 QUOTED = re.compile('"[^"]*"')
+"""A quoted part of a line."""
 
 DATE = re.compile(r'\s*\d{4}-\d\d-\d\d[T ]\d\d:\d\d')
 """Start of a date with a time (ISO 8601)."""
@@ -69,8 +70,8 @@ WHOLE_DATE = re.compile(
 TOPIC_NAMES = ('sec', 'nanosec', LEFT_OUT, *[LEFT_OUT] * 13, 'angular_velocity_x')
 TOPIC_NAMES += ('angular_velocity_y', 'angular_velocity_z', *[LEFT_OUT] * 9)
 TOPIC_NAMES += tuple(f'linear_acceleration_{axis}' for axis in 'xyz') + (LEFT_OUT,) * 9
-"""Names of the columns that ``ros2 topic echo --csv`` writes without a header. The third column is
-the frame_id."""
+"""Names of the columns that ``ros2 topic echo --csv`` writes without a header; '-' for columns that
+are not used. The third column is the frame_id."""
 
 
 def open_table(path: Path, options: ReadOptions) -> Recording:
@@ -81,13 +82,13 @@ def open_table(path: Path, options: ReadOptions) -> Recording:
     with _text(path) as file:
         table = _layout(path, file, options)
     info = SourceInfo(str(path), '', 'table', 'tsv' if table.delimiter == '\t' else 'csv')
-    known = options.with_units(table.columns.units)
-    return Recording(info, None, table.read, table.temperature, known, table.columns.given)
+    read_options = options.with_units(table.columns.units)
+    return Recording(info, None, table.read, table.temperature, read_options, table.columns.given)
 
 
 @dataclass
 class _Table:
-    """A table of samples: its layout, and the temperatures of the rows that were read."""
+    """A table of samples: its layout, and the temperatures in the rows that were read."""
 
     path: Path
     delimiter: str  # ',', ';' or tab; '' for white space
@@ -96,20 +97,21 @@ class _Table:
     header_line: int  # number of the line with the names; 0 without a header
     columns: ColumnLayout
     rate_hz: float  # sample rate if there are no stamps
-    _kept: Decimated[tuple[int, float]] = field(default_factory=Decimated)
+    # stamp in ns and temperature in degC of a part of the rows
+    _temperatures: Decimated[tuple[int, float]] = field(default_factory=Decimated)
 
     def read(self, report: Report) -> Iterator[ImuBatch]:
         """Yield the samples in order, in SI; call ``report`` with each finding."""
-        self._kept = Decimated()
+        self._temperatures = Decimated()
         for sensor, name in self.columns.assumed.items():
             unit = SAMPLE_SI[sensor]
             report(finding('unit_assumed', path=self.path, sensor=sensor, unit=unit, name=name))
         if unit := self.columns.time_unit:
             name = self.names[self.columns.stamp[0][0]]
             report(finding('stamp_unit_assumed', path=self.path, unit=unit, name=name))
-        names, absent = self.columns.unrecognized, len(AXES) - len(self.columns.axes)
-        if 0 < absent <= len(names):
-            report(finding('columns_unrecognized', path=self.path, names=listed(names)))
+        unrecognized, missing_axes = self.columns.unrecognized, len(AXES) - len(self.columns.axes)
+        if 0 < missing_axes <= len(unrecognized):
+            report(finding('columns_unrecognized', path=self.path, names=listed(unrecognized)))
         column, unit = self.columns.temperature or (None, '')
         with _text(self.path) as file:
             for rows in self._rows(file, report):
@@ -118,7 +120,7 @@ class _Table:
                     celsius = (row[column] for row in rows.cells)
                     for stamp, cell in zip(batch.stamps_ns.tolist(), celsius):
                         value = _number(cell) if _is_number(cell) else np.nan
-                        self._kept.add((stamp, to_celsius(value, unit)))
+                        self._temperatures.add((stamp, to_celsius(value, unit)))
                 yield batch
 
     def temperature(self, frame_id: str = '') -> TemperatureTrace | None:
@@ -126,13 +128,13 @@ class _Table:
         if self.columns.temperature is None:
             return None
         column, _ = self.columns.temperature
-        readings = [(stamp, stamp, celsius) for stamp, celsius in self._kept]
+        readings = [(stamp, stamp, celsius) for stamp, celsius in self._temperatures]
         return trace_of(self.names[column].strip(), readings)
 
     def _rows(self, file: TextIO, report: Report) -> Iterator[_Rows]:
         """Yield the rows in groups of at most `BATCH` rows with one frame_id each.
 
-        The last line is not used if it has no line end, because its last number may be truncated.
+        A last line without a line end is not used, because the last number in it may be truncated.
         """
         lines, rows = _Lines(self, file), _Rows(self)
         try:
@@ -171,21 +173,23 @@ def _layout(path: Path, file: TextIO, options: ReadOptions) -> _Table:
     if '\0' in line:
         raise AllanError(f'{path}: is UTF-16 or not text: save the table as UTF-8')
     delimiter = next((mark for mark in '\t;,' if mark in QUOTED.sub('', line)), '')
-    more = (one for one in lines if not one.startswith(COMMENT_MARK) and not one.isspace())
-    rows = _split(chain([line], more), delimiter)
+    further_lines = (
+        each for each in lines if not each.startswith(COMMENT_MARK) and not each.isspace()
+    )
+    rows = _split(chain([line], further_lines), delimiter)
     try:
-        first = tuple(cell.strip() for cell in next(rows))
+        first_cells = tuple(cell.strip() for cell in next(rows))
         number += getattr(rows, 'line_num', 1) - 1  # a header may contain quoted line breaks
-        above = next(_split([comment.lstrip('# ')], delimiter)) if comment else []
+        comment_cells = next(_split([comment.lstrip('# ')], delimiter)) if comment else []
     except (csv.Error, StopIteration) as error:
         raise AllanError(
             f'{path}: line {number} is not a row of a table: correct the file'
         ) from error
-    names, header_line = _names(path, first, above, number, options.columns)
-    next_rows = [] if header_line else [list(first)]
+    names, header_line = _names(path, first_cells, comment_cells, number, options.columns)
+    next_rows = [] if header_line else [list(first_cells)]
     try:
         next_rows += islice(rows, FIRST_ROWS)
-    except csv.Error:  # reported when the line is read
+    except csv.Error:  # `_Table.read` reports the error
         next_rows = next_rows or [[]]
     if not next_rows:
         raise AllanError(f'{path}: has no line after its header: record or export it again')
@@ -199,59 +203,65 @@ def _layout(path: Path, file: TextIO, options: ReadOptions) -> _Table:
         else:
             times = list(map(_number, takewhile(_is_number, cells))) or [0.0]
             columns = columns.with_time_unit(path, np.array(times), options.stamp_unit)
-    return _Table(path, delimiter, len(first), names, header_line, columns, options.rate_hz)
+    return _Table(path, delimiter, len(first_cells), names, header_line, columns, options.rate_hz)
 
 
 def _names(
-    path: Path, first: tuple[str, ...], above: list[str], number: int, columns: tuple[str, ...]
+    path: Path,
+    first_cells: tuple[str, ...],
+    comment_cells: list[str],
+    number: int,
+    columns: tuple[str, ...],
 ) -> tuple[tuple[str, ...], int]:
-    """Return the names of the columns, and the number of the header line; 0 without a header.
+    """Return the names of the columns, and the number of the header line (0 without a header).
 
     Parameters
     ----------
     path : Path
         Path of the table.
-    first : tuple of str
+    first_cells : tuple of str
         Cells of the first line that is not a comment.
-    above : list of str
-        Cells of the last comment before this line.
+    comment_cells : list of str
+        Cells of the last comment before the first line that is not a comment.
     number : int
-        Number of this line in the file.
+        Number, in the file, of the first line that is not a comment.
     columns : tuple of str
-        Names in the options.
+        Names of the columns according to the options.
 
     Raises
     ------
     AllanError
         When the names are unknown, or do not match the columns.
     """
-    given = tuple(name.strip() for name in columns)
-    picked = bool(given) and all('=' in name for name in given)
-    if given and not picked:
-        if len(given) != len(first):
+    given_names = tuple(name.strip() for name in columns)
+    are_pairs = bool(given_names) and all('=' in name for name in given_names)
+    if given_names and not are_pairs:
+        if len(given_names) != len(first_cells):
             raise AllanError(
-                f'{path}: has {len(first)} columns, {len(given)} are named by --columns: '
-                f'name each ({LEFT_OUT} leaves one out), or pick some as in gx=NAME'
+                f'{path}: has {len(first_cells)} columns, {len(given_names)} are named by '
+                f'--columns: name each ({LEFT_OUT} excludes a column), or state some as in gx=NAME'
             )
-        used = [cell for name, cell in zip(given, first) if name != LEFT_OUT]
-        return given, 0 if all(map(_is_value, used)) else number
-    values = [_is_value(cell) for cell in first]
-    if len(first) == len(TOPIC_NAMES) and values.count(False) == 1 and not values[2]:
+        used_cells = [cell for name, cell in zip(given_names, first_cells) if name != LEFT_OUT]
+        return given_names, 0 if all(map(_is_value, used_cells)) else number
+    are_values = [_is_value(cell) for cell in first_cells]
+    if len(first_cells) == len(TOPIC_NAMES) and are_values.count(False) == 1 and not are_values[2]:
         return TOPIC_NAMES, 0
-    if not all(values):
-        names, line = first, number
-    elif len(above) == len(first) and not all(map(_is_value, above)):
-        names, line = tuple(cell.strip() for cell in above), 0
+    if not all(are_values):
+        names, line = first_cells, number
+    elif len(comment_cells) == len(first_cells) and not all(map(_is_value, comment_cells)):
+        names, line = tuple(cell.strip() for cell in comment_cells), 0
     else:
         raise AllanError(
-            f'{path}: has {len(first)} columns of numbers and no header: '
-            f'name them, such as --columns {EXAMPLE_COLUMNS} ({LEFT_OUT} leaves one out)'
+            f'{path}: has {len(first_cells)} columns of numbers and no header: '
+            f'name them, such as --columns {EXAMPLE_COLUMNS} ({LEFT_OUT} excludes a column)'
         )
-    return (picked_names(path, names, given) if picked else names_by_file(path.stem, names)), line
+    return (
+        picked_names(path, names, given_names) if are_pairs else names_by_file(path.stem, names)
+    ), line
 
 
 def _number(cell: str) -> float:
-    """Convert a cell to a number; a quoted cell may contain a decimal comma."""
+    """Convert a cell to a number; a cell in quotes may contain a decimal comma."""
     return float(cell.replace(',', '.'))
 
 
@@ -268,7 +278,7 @@ def _is_value(cell: str) -> bool:
 
 
 def _text(path: Path) -> TextIO:
-    # an invalid byte is replaced, and then reported as a value that is not a number
+    # an invalid byte is replaced by a character that is later reported as not a number
     return TextIOWrapper(open_regular(path), encoding='utf-8-sig', errors='replace', newline=None)
 
 
@@ -300,8 +310,9 @@ def _split(lines: Iterable[str], delimiter: str) -> Iterator[list[str]]:
 class _Lines:
     """Iterates over the lines of a table after its header, without comments and empty lines.
 
-    ``number`` is the number of the last line that was read, from 1 on. ``frame_id`` is taken from
-    the last comment that contains a frame_id. ``complete`` is whether the last line has a line end.
+    ``number`` is the number of the last line that was read; the first line has the number 1.
+    ``frame_id`` is taken from the last comment that contains a frame_id. ``complete`` states
+    whether the last line that was read has a line end.
     """
 
     def __init__(self, table: _Table, file: TextIO) -> None:
@@ -334,7 +345,7 @@ class _Rows:
     def batch(self) -> ImuBatch:
         """Convert the rows to samples; raise AllanError when a row or value is invalid."""
         table, n = self.table, len(self.cells)
-        meaning = table.columns
+        layout = table.columns
         for number, row in zip(self.numbers, self.cells):
             if len(row) != table.width:
                 raise AllanError(
@@ -342,17 +353,17 @@ class _Rows:
                     'correct or remove the line'
                 )
         samples = np.full((n, len(AXES)), np.nan)
-        for axis, (column, scale) in meaning.axes.items():
+        for axis, (column, scale) in layout.axes.items():
             samples[:, axis] = self._floats(column)
             if scale != 1.0:
                 samples[:, axis] *= scale
         stamps, record = (
             sum((self._nanoseconds(*part) for part in parts), np.zeros(n, np.int64))
-            for parts in (meaning.stamp, meaning.record)
+            for parts in (layout.stamp, layout.record)
         )
-        if not meaning.stamp:
+        if not layout.stamp:
             stamps = even_stamps(self.first, n, table.rate_hz)
-        return ImuBatch(stamps, samples, record if meaning.record else None, self.frame_id)
+        return ImuBatch(stamps, samples, record if layout.record else None, self.frame_id)
 
     def _floats(self, column: int) -> NDArray[np.float64]:
         """Convert a column to numbers; an empty cell becomes NaN."""
@@ -392,12 +403,12 @@ class _Rows:
 
 
 def _date(text: str) -> int:
-    """Convert a date with a time (ISO 8601) to ns since 1970; raise ValueError if it is invalid."""
-    found = WHOLE_DATE.fullmatch(text)
-    if not found:
+    """Convert a date with a time (ISO 8601) to ns since 1970; raise ValueError for invalid text."""
+    match = WHOLE_DATE.fullmatch(text)
+    if not match:
         raise ValueError('not a date')
-    minute = int(np.datetime64(found['minute'].replace(' ', 'T'), 'm').astype(np.int64))
-    if found['sign']:
-        minute -= int(f'{found["sign"]}1') * (60 * int(found['hours']) + int(found['minutes'] or 0))
-    part = f'{found["part"] or "":0<9}'[:9]
-    return (60 * minute + int(found['second'] or 0)) * 10**9 + int(part)
+    minute = int(np.datetime64(match['minute'].replace(' ', 'T'), 'm').astype(np.int64))
+    if match['sign']:
+        minute -= int(f'{match["sign"]}1') * (60 * int(match['hours']) + int(match['minutes'] or 0))
+    part = f'{match["part"] or "":0<9}'[:9]
+    return (60 * minute + int(match['second'] or 0)) * 10**9 + int(part)

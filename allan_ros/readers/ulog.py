@@ -2,10 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Read PX4 logs (``.ulg``) with ``pyulog``: the topic ``sensor_combined`` or ``vehicle_imu``.
 
-``sensor_combined`` contains angular rate and acceleration of the IMU in use. Each instance of
-``vehicle_imu`` contains delta angles and delta velocities of one IMU. They are divided by their
-integration times. Dropouts of the logger cause gaps. The temperature is read from the topic of the
-same gyro.
+``sensor_combined`` contains angular rate and acceleration of the IMU that PX4 uses. Each instance
+of ``vehicle_imu`` contains delta angles and delta velocities of one IMU, which are divided by their
+integration times. Dropouts of the logger cause gaps. Topics in `THERMOMETERS` contain the
+temperature.
 """
 
 from __future__ import annotations
@@ -41,13 +41,13 @@ THERMOMETERS = ('sensor_gyro', 'sensor_accel')
 """Topics that contain the temperature of an IMU, in the order of preference."""
 
 SELECTION = 'sensor_selection'
-"""Topic that states from which IMU ``sensor_combined`` is."""
+"""Topic that states which IMU the samples in ``sensor_combined`` come from."""
 
 MAX_LOG_BYTES = 4 * 2**30
 """Largest size of a log in bytes. The parser keeps the data of the topics in memory."""
 
 MAX_SEEKS = 50_000
-"""Number of damaged bytes after which reading stops. Their processing takes about a second."""
+"""Number of damaged bytes after which reading stops; the parser needs about a second for them."""
 
 REMEDY = 'copy the log again'
 
@@ -59,9 +59,9 @@ def open_ulog(path: Path, options: ReadOptions) -> Recording:
     cannot be read, has no IMU, or has several instances of ``vehicle_imu`` and no selection.
     """
     log = _parsed(path)
-    found = {_label(data, log): data for data in log.data_list if data.name in TOPICS}
-    name = _chosen(path, list(found), options.topic)
-    data = found[name]
+    topics = {_label(data, log): data for data in log.data_list if data.name in TOPICS}
+    name = _chosen(path, list(topics), options.topic)
+    data = topics[name]
     try:
         batch, integration_s = _samples(name, data.data)
     except (KeyError, ValueError, OverflowError) as error:
@@ -87,7 +87,7 @@ def open_ulog(path: Path, options: ReadOptions) -> Recording:
 
 def _parsed(path: Path) -> Any:
     core = optional_package('pyulog', f'{path}: reading a PX4 log')
-    with open_regular(path) as file, redirect_stdout(io.StringIO()):  # the parser prints
+    with open_regular(path) as file, redirect_stdout(io.StringIO()):  # the parser prints to stdout
         if os.fstat(file.fileno()).st_size > MAX_LOG_BYTES:
             raise AllanError(f'{path}: is larger than {MAX_LOG_BYTES} bytes: split the log')
         try:
@@ -123,22 +123,22 @@ def _label(data: Any, log: Any) -> str:
     return f'{data.name}:{data.multi_id}' if name_repeats else str(data.name)
 
 
-def _chosen(path: Path, names: list[str], wanted: str) -> str:
-    if not names:
+def _chosen(path: Path, topics: list[str], wanted: str) -> str:
+    if not topics:
         raise AllanError(f'{path}: has no topic {" or ".join(TOPICS)}: log one of them')
     if wanted:
-        if wanted not in names:
+        if wanted not in topics:
             raise AllanError(
-                f'{path}: has no topic {wanted}; it has {", ".join(names)}: check --topic'
+                f'{path}: has no topic {wanted}; it has {", ".join(topics)}: check --topic'
             )
         return wanted
-    if TOPICS[0] in names:
+    if TOPICS[0] in topics:
         return TOPICS[0]
-    if len(names) > 1:
+    if len(topics) > 1:
         raise AllanError(
-            f'{path}: has {len(names)} IMUs: {", ".join(names)}: choose one with --topic'
+            f'{path}: has {len(topics)} IMUs: {", ".join(topics)}: choose one with --topic'
         )
-    return names[0]
+    return topics[0]
 
 
 def _samples(name: str, data: dict[str, NDArray[Any]]) -> tuple[ImuBatch, float]:
@@ -156,8 +156,8 @@ def _samples(name: str, data: dict[str, NDArray[Any]]) -> tuple[ImuBatch, float]
         samples[:, SENSORS['gyro']] = _vectors(data, 'gyro_rad')
         samples[:, SENSORS['accel']] = _vectors(data, 'accelerometer_m_s2')
         relative = data.get('accelerometer_timestamp_relative', np.zeros(1))
-        absent = np.flatnonzero(relative == 0x7FFFFFFF)  # marks a sample without acceleration
-        samples[absent, SENSORS['accel']] = np.nan
+        absent_rows = np.flatnonzero(relative == 0x7FFFFFFF)  # marks a sample without acceleration
+        samples[absent_rows, SENSORS['accel']] = np.nan
         integration = data.get('gyro_integral_dt', np.zeros(1))
     unit = 1.0 if integration.dtype.kind == 'f' else 1e-6  # older logs state the time in s
     return ImuBatch(stamps, samples, record, name), float(np.median(integration)) * unit
@@ -169,10 +169,10 @@ def _temperature(log: Any, data: Any) -> TemperatureTrace | None:
     Returns None if no topic, or more than one, could contain the temperature of this gyro.
     """
     topics = [topic for topic in log.data_list if topic.name in THERMOMETERS]
-    known = (topic for topic in log.data_list if topic.name == SELECTION)
-    stated = data.data if 'gyro_device_id' in data.data else next(known, data).data
-    if 'gyro_device_id' in stated:
-        device = stated['gyro_device_id'][-1:]
+    selections = (topic for topic in log.data_list if topic.name == SELECTION)
+    device_fields = data.data if 'gyro_device_id' in data.data else next(selections, data).data
+    if 'gyro_device_id' in device_fields:
+        device = device_fields['gyro_device_id'][-1:]
         topics = [t for t in topics if 'device_id' in t.data and t.data['device_id'][-1:] == device]
     elif len({topic.multi_id for topic in topics}) > 1:
         return None

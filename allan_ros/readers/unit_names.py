@@ -50,7 +50,7 @@ _SPELLINGS = {
     's': 'seconds|second|secs|sec',
     'm': 'meters|metres|meter|metre',
 }
-"""Word in a unit such as deg/s -> its spellings."""
+"""Part of a unit, such as deg in deg/s -> regular expression for its spellings."""
 
 
 def plain_unit(text: str) -> str:
@@ -76,7 +76,7 @@ def unit_named(text: str, spellings: Mapping[str, Sequence[str]]) -> str:
     ``spellings`` is a table of this module, such as `TIME_SPELLINGS`.
     """
     plain = plain_unit(text)
-    return next((unit for unit, known in spellings.items() if plain in known), '')
+    return next((unit for unit, unit_spellings in spellings.items() if plain in unit_spellings), '')
 
 
 def to_celsius(value: float, unit: str) -> float:

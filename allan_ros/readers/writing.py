@@ -3,8 +3,8 @@
 """Write samples as a recording: an mcap bag (a folder), or a file .mcap, .db3, .csv, .tsv or .npz.
 
 The package ``rosbags`` writes bags. A recording is written to a temporary folder next to its path,
-and renamed when it is complete. Every format stores int64 stamps and float64 samples, so reading
-returns exactly the same numbers.
+and renamed when it is complete. All formats store stamps and samples without loss of precision, so
+reading returns exactly the same numbers.
 """
 
 from __future__ import annotations
@@ -55,8 +55,8 @@ def write_recording(
     Raises
     ------
     AllanError
-        When the path exists and is not to be replaced, cannot be written, or is a .bag file; when
-        the package ``rosbags`` is missing.
+        When the path exists and ``overwrite`` is not set, when it cannot be written or is a .bag
+        file, or when the package ``rosbags`` is missing.
     """
     path = Path(path)
     suffix = path.suffix.lower()
@@ -65,7 +65,7 @@ def write_recording(
             f'{path}: ROS 1 bags cannot be written: name a folder for an mcap bag, or a file '
             '.mcap, .db3, .csv, .tsv or .npz'
         )
-    # rosbags gives the path to SQLite as a part of a URI
+    # rosbags passes the path to SQLite within a URI, in which these characters have a meaning
     if suffix == '.db3' and {*'?#%'} & {*str(path.absolute())}:
         raise AllanError(f'{path}: choose a path without "?", "#" and "%" for a .db3 file')
     try:
@@ -87,14 +87,14 @@ def write_recording(
 def _keep_storage_file(bag: Path) -> None:
     """Replace the folder of a bag by its storage file."""
     (file,) = (child for child in bag.iterdir() if child.name != 'metadata.yaml')
-    kept = file.rename(bag.with_name(f'{bag.name}.file'))
+    moved = file.rename(bag.with_name(f'{bag.name}.file'))
     shutil.rmtree(bag)
-    kept.rename(bag)
+    moved.rename(bag)
 
 
 @contextmanager
 def _draft(path: Path, overwrite: bool) -> Iterator[Path]:
-    """Yield a temporary path with the same name; move its content to ``path`` at the end.
+    """Yield a temporary path with the name of ``path``, and rename it to ``path`` at the end.
 
     Raises AllanError when ``path`` exists and may not be replaced.
     """
@@ -103,7 +103,7 @@ def _draft(path: Path, overwrite: bool) -> Iterator[Path]:
     if path.is_dir() and not (path / 'metadata.yaml').is_file():
         raise AllanError(f'{path} is a folder, but not a bag: choose another name')
     path.parent.mkdir(parents=True, exist_ok=True)
-    # a folder, because the files in a rosbag2 are named after the bag
+    # the draft has the final name in a temporary folder, because rosbags names files after the bag
     scratch = Path(tempfile.mkdtemp(prefix=f'.{path.name}.', dir=path.parent))
     try:
         draft = scratch / path.name
@@ -156,7 +156,7 @@ def write_table(path: Path, batches: Iterable[ImuBatch]) -> int:
 def _write_npz(path: Path, batches: Iterable[ImuBatch]) -> int:
     """Write the arrays ``imu``, ``stamps_ns`` and ``frame_id``; return the number of samples.
 
-    All samples are in memory at once.
+    All samples are kept in memory.
     """
     whole = joined(list(batches))
     imu = np.column_stack([whole.stamps_ns / NANOSECONDS, whole.samples])

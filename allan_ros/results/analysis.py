@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Fit the Allan sums of recordings, and return `Results`.
 
-Linear algebra is limited to one thread during a fit. The matrices have about a hundred rows, so
-more threads do not make the fit faster, and their busy-waiting multiplies the CPU time. The limit
-is set for OpenBLAS on Linux, which the wheels of numpy and scipy contain.
+Linear algebra is limited to one thread during a fit. The matrices have about a hundred rows. More
+threads do not make the fit faster, and their busy-waiting multiplies the CPU time. The limit is set
+only for OpenBLAS on Linux; the Linux wheels of numpy and scipy contain this library.
 """
 
 from __future__ import annotations
@@ -39,9 +39,9 @@ from .results import Results
 if TYPE_CHECKING:
     from ..core.filters.motion_factors import NoiseInMotion
 
-PREFIXES = ('scipy_openblas', 'openblas')
-SUFFIXES = ('64_', '')
-"""Start and end of the function names in different builds of OpenBLAS."""
+PREFIXES, SUFFIXES = ('scipy_openblas', 'openblas'), ('64_', '')
+"""Text before and after ``_get_num_threads`` and ``_set_num_threads`` in the names of functions of
+OpenBLAS. This text differs between builds."""
 
 _lock = threading.Lock()
 _users = 0
@@ -50,7 +50,10 @@ _restore = ExitStack()
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Limit BLAS to one thread within the context, which several threads may enter at once."""
+    """Limit BLAS to one thread within the context.
+
+    Several Python threads may be in the context at the same time.
+    """
     global _users
     with _lock:
         if not _users:
@@ -67,7 +70,7 @@ def one_thread() -> Iterator[None]:
 
 def _limit() -> None:
     """Limit OpenBLAS to one thread, and register in `_restore` how to undo this."""
-    import scipy.linalg  # noqa: F401  # loads its own BLAS library
+    import scipy.linalg  # noqa: F401  # loads another BLAS library than numpy
 
     for get, set_number in _openblas():
         _restore.callback(set_number, get())
@@ -77,7 +80,7 @@ def _limit() -> None:
 def _openblas() -> Iterator[tuple[Callable[[], int], Callable[[int], Any]]]:
     """Yield the functions that get and set the number of threads of each loaded OpenBLAS."""
     paths: set[str] = set()
-    with suppress(OSError):  # not Linux
+    with suppress(OSError):  # the file exists only on Linux
         for line in Path('/proc/self/maps').read_text(errors='surrogateescape').splitlines():
             path = line.split(maxsplit=5)[-1]
             if 'openblas' in path.rpartition('/')[2]:
@@ -98,7 +101,7 @@ def analyze_recorded(
     """Fit the Allan sums of one IMU, and return the results.
 
     Data before a lasting change of the white noise are excluded, unless the settings of the
-    recordings state a time to skip.
+    recordings state how much time at the start is excluded.
 
     Parameters
     ----------
@@ -107,8 +110,8 @@ def analyze_recorded(
     method : str
         'likelihood' or 'paper'.
     at_rest_before : Results, optional
-        Earlier results whose noise at rest predicts the errors in motion. By default, the noise at
-        rest in ``recorded`` does.
+        Earlier results. Their noise at rest is used to predict the errors in motion, instead of the
+        noise at rest in ``recorded``.
 
     Raises
     ------
@@ -123,48 +126,48 @@ def analyze_recorded(
     fits = [with_deviations(fit, curve) for (_, fit), curve in zip(fitted, curves)]
     axes = dict(_axis_results(zip(recorded.sums, curves, fits)))
     time_ns, celsius = recorded.temperature_readings()
-    for complete in recorded.sums:
-        white = {axis: axes[axis].fit.noise['N'].value for axis in complete.axes}
-        rests = at_rest(complete, time_ns, celsius, white)
+    for complete_sums in recorded.sums:
+        white = {axis: axes[axis].fit.noise['N'].value for axis in complete_sums.axes}
+        rests = at_rest(complete_sums, time_ns, celsius, white)
         axes |= {axis: replace(axes[axis], at_rest=rest) for axis, rest in rests.items()}
-    warmed: list[Finding] = []
+    temperature_findings: list[Finding] = []
     if len(celsius) > 1:
-        for complete, fit in zip(recorded.sums, fits):
-            models, found = temperature_models(complete, time_ns, celsius, fit)
+        for complete_sums, fit in zip(recorded.sums, fits):
+            models, model_findings = temperature_models(complete_sums, time_ns, celsius, fit)
             axes |= {name: replace(axes[name], temperature=m) for name, m in models.items()}
-            warmed += found
-    longest = max(sums, key=lambda s: s.samples)
-    tau0 = longest.tau0 or float('nan')
-    noise, rest_s = axes, longest.samples * tau0
+            temperature_findings += model_findings
+    largest_sums = max(sums, key=lambda s: s.samples)
+    tau0 = largest_sums.tau0 or float('nan')
+    noise, rest_s = axes, largest_sums.samples * tau0
     if at_rest_before is not None:
         noise, rest_s = dict(at_rest_before.axes), at_rest_before.duration_s
-    covered = not_noise_findings(fits, longest.samples * tau0)
+    hidden_findings = not_noise_findings(fits, largest_sums.samples * tau0)
     motion: NoiseInMotion | None = None
-    moved: tuple[Finding, ...] = ()
+    motion_findings: tuple[Finding, ...] = ()
     if recorded.drives.errors or recorded.drives.unused:
         from .motion import is_hidden, measure_motion
 
         counts = recorded.provenance.counts
-        moving = counts.moving / max(counts.received, 1)
-        noise_is_hidden = at_rest_before is None and is_hidden(covered)
-        motion, moved = measure_motion(
-            recorded.drives, noise, rest_s, moving, hidden=noise_is_hidden
+        moving_share = counts.moving / max(counts.received, 1)
+        noise_is_hidden = at_rest_before is None and is_hidden(hidden_findings)
+        motion, motion_findings = measure_motion(
+            recorded.drives, noise, rest_s, moving_share, hidden=noise_is_hidden
         )
     findings = (
         *recorded.provenance.findings,
         *(f for s in sums for f in sums_findings(s)),
-        *covered,
+        *hidden_findings,
         *(f for fit in fits for f in fit.findings),
-        *warmed,
-        *moved,
+        *temperature_findings,
+        *motion_findings,
     )
     return Results(
-        longest.identity,
+        largest_sums.identity,
         method,
         tau0,
-        longest.samples,
-        longest.samples * tau0,
-        longest.segment_count,
+        largest_sums.samples,
+        largest_sums.samples * tau0,
+        largest_sums.segment_count,
         {name: axes[name] for name in AXES if name in axes},
         recorded.provenance,
         tuple(dict.fromkeys(findings)),
@@ -181,7 +184,7 @@ def analyze_sums(
     Parameters
     ----------
     sums : sequence of AllanSums
-        One item with all axes, or one item for each sensor if their rates differ.
+        One item with all axes, or one item for each sensor if the rates of the sensors differ.
     provenance : Provenance
         Origin of the sums.
     method : str
@@ -199,19 +202,19 @@ def _axis_results(
     fitted: Iterable[tuple[AllanSums, AllanCurve, NoiseModel]],
 ) -> Iterable[tuple[str, AxisResult]]:
     for sums, curve, model in fitted:
-        means = np.array([one.mean for one in sums.recordings])
-        lengths = np.array([one.samples * model.tau0 for one in sums.recordings])
+        means = np.array([recording.mean for recording in sums.recordings])
+        durations = np.array([recording.samples * model.tau0 for recording in sums.recordings])
         for i, name in enumerate(curve.axes):
             fit = model.axes[name]
-            white = (fit.noise['N'].value or 0.0) ** 2 / model.tau0
+            white_variance = (fit.noise['N'].value or 0.0) ** 2 / model.tau0
             axis = AxisResult(
                 model.tau0,
                 fit,
                 curve.axis(i),
                 tuple(dominant_regions(curve, fit)),
                 name,
-                rounding_step(sums, i, white) if white else None,
-                turn_on_bias(means[:, i], float(fit.model.avar(lengths).mean()))
+                rounding_step(sums, i, white_variance) if white_variance else None,
+                turn_on_bias(means[:, i], float(fit.model.avar(durations).mean()))
                 if len(means) > 1
                 else None,
             )

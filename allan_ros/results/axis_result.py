@@ -55,7 +55,8 @@ class AxisResult:
         Bias as a function of temperature; None if no temperature was recorded, or it varied too
         little or in one direction only.
     at_rest : AtRest or None
-        Mean (the bias), drift and bandwidth of the samples; None if only a curve is known.
+        Mean (bias, plus gravity for an accelerometer), drift and bandwidth of the samples; None if
+        the samples are unknown, for example if only a curve was fitted.
 
     Examples
     --------
@@ -63,7 +64,7 @@ class AxisResult:
     >>> axis = ar.analyze(ar.simulate(hours=0.1, rate=50))['accel_z']
     >>> axis.name, round(axis.N.to('ug/sqrt(Hz)').value, -1)
     ('accel_z', 20.0)
-    >>> [one.horizon for one in axis.growth][:2]  # s
+    >>> [prediction.horizon for prediction in axis.growth][:2]  # s
     [1.0, 10.0]
     >>> [q.unit for q in (axis.Q, axis.B, axis.K, axis.R)]
     ['m/s', 'm/s^2', 'm/s^3/sqrt(Hz)', 'm/s^3']
@@ -94,7 +95,7 @@ class AxisResult:
 
     @property
     def B(self) -> Estimate:
-        """Bias instability in rad/s or m/s^2: the flat part of the curve, divided by 0.664."""
+        """Bias instability in rad/s or m/s^2: flat part of the Allan deviation divided by 0.664."""
         return self.quantity('B')
 
     @property
@@ -111,17 +112,17 @@ class AxisResult:
     def processes(self) -> Model:
         """Noise processes that were fitted in addition to the five terms, such as sinusoids.
 
-        Each item of ``processes['gauss_markov']`` or ``processes['sinusoid']`` has a ``value``,
-        which is a standard deviation or an amplitude in SI, and its 95 % interval ``ci95``. The
-        ``process`` of an item has the parameters of its shape, such as ``correlation_time`` in s or
-        ``frequency`` in Hz. Their 95 % intervals are in ``shape_ci95``.
+        Each item of ``processes['gauss_markov']`` or ``processes['sinusoid']`` has a ``value`` in
+        SI (a standard deviation or an amplitude) and the 95 % interval ``ci95`` of this value. The
+        ``process`` of the item has the parameters of its shape: ``correlation_time`` in s, or
+        ``frequency`` in Hz. ``shape_ci95`` contains the 95 % intervals of these parameters.
 
         Examples
         --------
         >>> import allan_ros as ar
         >>> samples = ar.simulate(hours=0.1, rate=50, vibration_gyro=3e-4, vibration_frequency=3.0)
         >>> axis = ar.analyze(samples, motion_gate=False)['gyro_x']
-        >>> [round(line.process.frequency, 1) for line in axis.processes['sinusoid']]  # Hz
+        >>> [round(item.process.frequency, 1) for item in axis.processes['sinusoid']]  # Hz
         [3.0]
         """
         return self.fit.model.shaped
@@ -130,7 +131,7 @@ class AxisResult:
         """Return the noise as a state-space model for a Kalman filter.
 
         The model gives the transition matrix and the covariance of the process noise for any time
-        step. The export target ``state_space`` writes the same model.
+        step. The export target ``state_space`` writes such a model to a file.
 
         Raises
         ------
@@ -148,10 +149,10 @@ class AxisResult:
 
     @property
     def growth(self) -> tuple[Growth, ...]:
-        """Predicted standard deviation of the integrated error, with 95 % intervals.
+        """Predicted standard deviation of the angle error (rad) or velocity error (m/s).
 
-        The error of the angle (rad) or velocity (m/s) is predicted for several durations of
-        integration without a correction.
+        There is one prediction, with its 95 % interval, for each of several times after the last
+        correction by another sensor.
         """
         return growth_table(self.fit)
 
@@ -191,11 +192,11 @@ class AxisResult:
         True
         """
         parts = self.fit.model.contributions(self._tau(m), self.tau0)
-        # the Allan variance of the part of a low-pass filter is negative, so it has no deviation
+        # the part that represents a low-pass filter has a negative Allan variance, and no deviation
         return {name: np.sqrt(avar) for name, avar in parts.items() if np.all(avar >= 0.0)}
 
     def limit_adev(self, m: ArrayLike) -> dict[str, NDArray[np.float64]]:
-        """Return the Allan deviation at the 95 % upper limit of each term that the model omits.
+        """Return the Allan deviation of the terms that the model omits, at their 95 % upper limits.
 
         ``m`` are averaging factors, which are averaging times in samples. The result maps terms to
         Allan deviations in SI, (factors,).
@@ -212,9 +213,9 @@ class AxisResult:
     def model_line(self) -> ModelLine:
         """Return the Allan deviation of the fitted model at the points of the curve, in SI.
 
-        ``adev`` is the Allan deviation of the model, and ``upper`` includes the terms that are not
-        resolved, at their 95 % upper limits. Both are NaN at short averaging times that the fit
-        excludes, and empty if the curve is unknown.
+        ``adev`` is the Allan deviation of the model, and ``upper`` is the Allan deviation of the
+        model with every unresolved term at its 95 % upper limit. Both arrays, (factors,), are NaN
+        at short averaging times that the model does not describe, and empty if there is no curve.
         """
         curve = self.curve
         if curve is None:
@@ -271,15 +272,17 @@ def adev(samples: ArrayLike, rate: float = 1.0) -> AxisCurve:
             'positive rate'
         )
     if not np.isfinite(table).all():
-        bad = int(np.count_nonzero(~np.isfinite(table).all(axis=1)))
-        raise AllanError(f'{bad} of {len(table)} samples are NaN or infinite: remove them')
+        unusable_rows = int(np.count_nonzero(~np.isfinite(table).all(axis=1)))
+        raise AllanError(
+            f'{unusable_rows} of {len(table)} samples are NaN or infinite: remove them'
+        )
     engine = RunningSums(axes=tuple(f'column {i}' for i in range(table.shape[1])))
     if len(table):
         engine.update(table, 0, round((len(table) - 1) / rate * 1e9))
     engine.end_segment()
     curve = allan_curve(engine.sums)
-    columns = (curve.adev, curve.ci_low, curve.ci_high)
-    deviation, low, high = (c[:, 0] if values.ndim == 1 else c for c in columns)
+    curve_arrays = (curve.adev, curve.ci_low, curve.ci_high)
+    deviation, low, high = (c[:, 0] if values.ndim == 1 else c for c in curve_arrays)
     return AxisCurve(curve.m, curve.tau, curve.n, deviation, low, high)
 
 
@@ -290,8 +293,8 @@ def fit(
 ) -> AxisResult:
     """Fit the noise coefficients to an Allan deviation curve, for example from another program.
 
-    `analyze` gives better intervals, because it uses the samples and so knows the covariance of the
-    points.
+    `analyze` gives better intervals, because it computes the covariance of the points from the
+    samples.
 
     Parameters
     ----------
@@ -336,10 +339,11 @@ def fit(
                 f'tau of shape {tau.shape} and adev of shape {deviation.shape}: give two lists of '
                 'equal length, with positive tau'
             )
-        unknown = np.full(len(tau), np.nan)
+        unknown_limits = np.full(len(tau), np.nan)
         m = np.rint(tau / tau[0]).astype(np.int64)
-        curve = AxisCurve(m, tau, np.zeros(len(tau), np.int64), deviation, unknown, unknown)
+        counts = np.zeros(len(tau), np.int64)
+        curve = AxisCurve(m, tau, counts, deviation, unknown_limits, unknown_limits)
     elif curve.adev.ndim != 1:
-        raise AllanError('the curve has several columns: fit each one alone')
+        raise AllanError('the curve has several columns: fit each column separately')
     tau0 = float(curve.tau[0] / curve.m[0])
     return AxisResult(tau0, fit_curve(curve.tau, curve.adev, record), curve, name=axis)

@@ -48,7 +48,7 @@ class Checkpoint:
     Parameters
     ----------
     path : path
-        The file; missing folders are created. With '', nothing is loaded or saved.
+        Path of the file; missing folders are created. With '', nothing is loaded or saved.
     log : object
         Logger with the methods ``info`` and ``warning``.
     words : function
@@ -57,7 +57,7 @@ class Checkpoint:
     Attributes
     ----------
     earlier : (sums, provenance)
-        The content of the file when the present run began.
+        Content of the file when the present run began: the sums of all earlier runs.
     loaded : Finding or None
         The problem that was found when the file was loaded.
     refused : Finding or None
@@ -91,18 +91,18 @@ class Checkpoint:
         Empty if the file contains no samples.
         """
         sums, provenance = self.earlier
-        begins = [p.begin_ns for each in sums for r in each.recordings for p in r.periods]
-        ends = [s.start_ns + round(s.duration_s * 1e9) for s in provenance.segments]
-        last = max(ends, default=provenance.last_stamp_ns)
-        if not begins or last is None:
+        starts_ns = [p.begin_ns for each in sums for r in each.recordings for p in r.periods]
+        ends_ns = [s.start_ns + round(s.duration_s * 1e9) for s in provenance.segments]
+        last = max(ends_ns, default=provenance.last_stamp_ns)
+        if not starts_ns or last is None:
             return ()
-        return ((min(begins), max(last, provenance.last_stamp_ns or last)),)
+        return ((min(starts_ns), max(last, provenance.last_stamp_ns or last)),)
 
     @property
     def findings(self) -> tuple[Finding, ...]:
         """Findings about the current problems of the file."""
-        known = (self._in_use, self._unsaved, self.refused, self.loaded)
-        return tuple(f for f in known if f is not None)
+        problems = (self._in_use, self._unsaved, self.refused, self.loaded)
+        return tuple(f for f in problems if f is not None)
 
     def age_s(self, now: float) -> float | None:
         """Return the time in s since the file was written; None if this run has not written it.
@@ -114,7 +114,7 @@ class Checkpoint:
     def total(self, sums: tuple[AllanSums, ...], provenance: Provenance) -> Total:
         """Return the sums of all runs, given the sums and the provenance of this run.
 
-        These are the sums of this run alone if the file is of another IMU, has other axes, cannot
+        Only the sums of this run are returned if the file is of another IMU, has other axes, cannot
         be read, or is used by another node.
         """
         self._has_new_samples = bool(sums)
@@ -127,15 +127,17 @@ class Checkpoint:
         try:
             check_same_imu(self._content[0], sums)
             if self.earlier[0] and _has_wrong_unit(sums) and not _has_wrong_unit(self.earlier[0]):
-                raise AllanError('its unit of measurement is not the unit of the present samples')
+                raise AllanError(
+                    'the present samples have another unit of measurement than the file'
+                )
             total = add_sums(self.earlier[0], sums)
         except AllanError as error:
             self._refuse(str(error))
             return sums, provenance
         self.refused = None
-        both = self.earlier[1] + provenance
-        sources = tuple(dict.fromkeys(both.sources))
-        return total, replace(both, sources=sources, findings=provenance.findings)
+        total_provenance = self.earlier[1] + provenance
+        sources = tuple(dict.fromkeys(total_provenance.sources))
+        return total, replace(total_provenance, sources=sources, findings=provenance.findings)
 
     def save(self, total: Total) -> bool:
         """Write the total to the file if it contains new samples.
@@ -208,7 +210,7 @@ class Checkpoint:
             schema = document.get('schema') if isinstance(document, dict) else None
             if isinstance(schema, str) and schema != SUMS_SCHEMA:
                 self._content = None
-                self._refuse(f'it is {schema}, this version reads {SUMS_SCHEMA}')
+                self._refuse(f'its schema is {schema}, but this version reads {SUMS_SCHEMA}')
                 return
             self.earlier = self._content = sums_file_from_document(document, self.path)
         except (AllanError, UnicodeDecodeError) as error:
@@ -220,27 +222,27 @@ class Checkpoint:
 
     def _rename_damaged(self, reason: str) -> None:
         names = (f'{self.path}.corrupt{i or ""}' for i in range(10**6))
-        aside = next(Path(name) for name in names if not os.path.lexists(name))
+        new_path = next(Path(name) for name in names if not os.path.lexists(name))
         try:
-            self._rename(aside)
+            self._rename(new_path)
         except AllanError:
             self._content = None
             self._refuse(reason)
             return
-        self.loaded = finding('checkpoint_corrupt', path=self.path, aside=aside, reason=reason)
+        self.loaded = finding('checkpoint_corrupt', path=self.path, aside=new_path, reason=reason)
         self._log.warning(str(self.loaded))
 
     def _move_wrong_unit(self) -> None:
-        """Rename the file if possible, and do not add the sums of earlier runs any more."""
+        """Rename the file if possible, and do not add its sums to the present sums any more."""
         self._collect()
-        aside = Path(f'{self.path}.previous')
+        new_path = Path(f'{self.path}.previous')
         if self._owned and os.path.lexists(self.path):
             try:
-                self._rename(aside)
+                self._rename(new_path)
             except AllanError as error:
                 self._report_unwritable(error)
         self._clear()
-        self.loaded = finding('checkpoint_unit', path=self.path, aside=aside)
+        self.loaded = finding('checkpoint_unit', path=self.path, aside=new_path)
         self._log.warning(self._words(self.loaded))
 
     def _rename(self, to: Path) -> None:
@@ -253,7 +255,7 @@ class Checkpoint:
             ) from error
 
     def _clear(self) -> None:
-        """Start with empty sums, because there is no file at the path."""
+        """Forget the content of the file: there are no sums of earlier runs any more."""
         self.earlier = self._content = NOTHING
         self.refused = None
 
@@ -281,7 +283,7 @@ class Checkpoint:
         return not owner
 
     def _writable(self) -> bool:
-        """Return whether this node may write the file; try to lock it if this failed before."""
+        """Return whether this node may write the file; lock it if this was impossible before."""
         return self._owned and self.refused is None and self._locked(on_error=False)
 
     def _write(self, total: Total) -> None:
@@ -308,10 +310,10 @@ class Checkpoint:
         return True
 
     def _report_unwritable(self, error: AllanError) -> None:
-        found = finding('checkpoint_unwritable', reason=error)
+        problem = finding('checkpoint_unwritable', reason=error)
         if self._unsaved is None:
-            self._log.warning(self._words(found))
-        self._unsaved = found
+            self._log.warning(self._words(problem))
+        self._unsaved = problem
 
 
 def _has_wrong_unit(sums: tuple[AllanSums, ...]) -> bool:

@@ -23,13 +23,14 @@ from ..readers import Recording
 from .analysis import one_thread
 
 OPPOSITE = -0.3
-"""Coherence with the other IMUs below which an axis points in the opposite direction. The coherence
-is 0 for independent noise, and positive for common noise of parallel axes."""
+"""Coherence with the other IMUs below which an axis is said to point in the opposite direction. The
+coherence is 0 for independent noise, and positive for common noise of parallel axes. At some
+averaging time, the complete 95 % interval of the coherence must lie below this number."""
 
 
 @dataclass(frozen=True)
 class CommonResult:
-    """The common and the own noise of several IMUs on one body, or of the axes of one IMU.
+    """Noise that several IMUs on one body, or the axes of one IMU, have in common.
 
     ``rows`` has a `CommonNoise` for each axis of each IMU, or for each pair of axes of a single
     IMU. ``findings`` maps the label of each IMU to the findings about its recording.
@@ -40,20 +41,26 @@ class CommonResult:
 
     def document(self) -> dict[str, Any]:
         """Return the result as a JSON object of the schema ``allan_ros/common/1``, in SI."""
-        found = {label: [plain(each) for each in some] for label, some in self.findings.items()}
-        return {'schema': 'allan_ros/common/1', 'rows': plain(self.rows), 'findings': found}
+        finding_objects = {
+            label: [plain(each) for each in findings] for label, findings in self.findings.items()
+        }
+        return {
+            'schema': 'allan_ros/common/1',
+            'rows': plain(self.rows),
+            'findings': finding_objects,
+        }
 
 
 @one_thread()
 def common_of(recordings: Mapping[str, Recording], settings: SegmenterSettings) -> CommonResult:
-    """Return the noise that recordings of the same time have in common.
+    """Return the noise that recordings made at the same time have in common.
 
     The samples at rest of all recordings are kept in memory.
 
     Parameters
     ----------
     recordings : mapping of str to Recording
-        Label -> recording of one IMU. For a single recording, its axes are compared.
+        Label -> recording of one IMU. The axes of a single recording are compared with each other.
     settings : SegmenterSettings
         How the data at rest are selected.
 
@@ -62,47 +69,58 @@ def common_of(recordings: Mapping[str, Recording], settings: SegmenterSettings) 
     AllanError
         When the recordings have no axis or no time in common, or one of them cannot be read.
     """
-    known: list[dict[str, Samples]] = []
+    samples_of_imus: list[dict[str, Samples]] = []
     findings: dict[str, tuple[Finding, ...]] = {}
     for label, recording in recordings.items():
-        known.append({})
+        samples_of_imus.append({})
         for part in filter(None, (recording, recording.accel)):
             stream = ImuStream(settings, sensor=part.sensor, with_samples=True)
             for batch in part.batches():
                 stream.update(batch)
             stream.end()
-            read = stream.result()
-            found = (*part.findings, *read.findings, *chain(*map(sums_findings, read.sums)))
-            used = (f for f in found if not f.axes or not {*f.axes}.isdisjoint(part.axes))
-            findings[label] = tuple(dict.fromkeys((*findings.get(label, ()), *used)))
-            known[-1].update({axis: Samples(*each) for axis, each in stream.samples().items()})
+            result = stream.result()
+            all_findings = (
+                *part.findings,
+                *result.findings,
+                *chain(*map(sums_findings, result.sums)),
+            )
+            relevant_findings = (
+                f for f in all_findings if not f.axes or not {*f.axes}.isdisjoint(part.axes)
+            )
+            findings[label] = tuple(dict.fromkeys((*findings.get(label, ()), *relevant_findings)))
+            samples_of_imus[-1].update(
+                {axis: Samples(*each) for axis, each in stream.samples().items()}
+            )
     rows: list[CommonNoise] = []
     labels = list(recordings)
-    axes = [axis for axis in AXES if all(axis in samples for samples in known)]
-    if len(known) > 1:
+    axes = [axis for axis in AXES if all(axis in samples for samples in samples_of_imus)]
+    if len(samples_of_imus) > 1:
         for axis in axes:
-            rows += common_noise(axis, [samples[axis] for samples in known], labels)
-    for sensor in SENSORS if len(known) == 1 else ():
-        own = [axis for axis in axes if sensor_of(axis) == sensor]
-        if len(own) > 1:
-            rows += common_of_axes(own, [known[0][axis] for axis in own], labels[0])
+            rows += common_noise(axis, [samples[axis] for samples in samples_of_imus], labels)
+    for sensor in SENSORS if len(samples_of_imus) == 1 else ():
+        sensor_axes = [axis for axis in axes if sensor_of(axis) == sensor]
+        if len(sensor_axes) > 1:
+            rows += common_of_axes(
+                sensor_axes, [samples_of_imus[0][axis] for axis in sensor_axes], labels[0]
+            )
     if not rows:
-        have = (
-            f'{label} has {", ".join(samples) or "none"}' for label, samples in zip(labels, known)
+        imu_texts = (
+            f'{label} has data at rest of {", ".join(samples) or "no axis"}'
+            for label, samples in zip(labels, samples_of_imus)
         )
         raise AllanError(
-            f'no two axes to compare: of data at rest, {"; ".join(have)}: choose topics with '
+            f'no two axes to compare, because {"; ".join(imu_texts)}: choose topics with '
             '--topic and --accel-topic, or record longer'
         )
-    turned = set()
-    for row in rows if len(known) > 1 else ():
+    opposite_axes = set()
+    for row in rows if len(samples_of_imus) > 1 else ():
         if len(row.coherence.tau) and row.coherence.high.min() < OPPOSITE:
-            value = float(row.coherence.value[np.argmin(row.coherence.high)])
-            opposite = finding('axis_opposite', (row.axis,), coherence=value)
+            coherence = float(row.coherence.value[np.argmin(row.coherence.high)])
+            opposite = finding('axis_opposite', (row.axis,), coherence=coherence)
             findings[row.label] = (*findings[row.label], opposite)
-            turned.add(row.axis)
+            opposite_axes.add(row.axis)
     for row in rows:
-        if row.measured is not None and row.own is None and row.axis not in turned:
+        if row.measured is not None and row.own is None and row.axis not in opposite_axes:
             unequal = finding('unequal_transfer', (row.axis,), share=row.leak)
             findings[row.label] = (*findings[row.label], unequal)
     return CommonResult(tuple(rows), findings)

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Compare recordings with each other, with datasheets, and with motors off and on."""
+"""Compare recordings with each other and with datasheets, and motors on with motors off."""
 
 from __future__ import annotations
 
@@ -26,21 +26,21 @@ SCHEMA = 'allan_ros/comparison/2'
 class RunComparison:
     """Comparison of several recordings with the first recording, and with datasheets.
 
-    Its text has a sentence for each recording but the first, and for each comparison with a
-    datasheet.
+    ``str(comparison)`` has a sentence for each recording except the first, and for each comparison
+    with a datasheet.
 
     Attributes
     ----------
     runs : mapping of label to Results
         Results of each recording. Control characters in the labels are escaped.
     differences : mapping of label to tuple of Check
-        Comparisons of each recording but the first with the first recording.
+        Comparisons with the first recording, for each of the other recordings.
     checked : tuple of (label, Results)
-        Results of each recording, compared with each datasheet.
+        Results of each recording, once for each datasheet with which they are compared.
     family_error : float
-        Probability of any significant difference if all recordings have equal noise.
+        Probability of at least one significant difference if all recordings have equal noise.
     within : float
-        Fraction up to which coefficients are tested for equality; 0 for no such test.
+        Fraction by which coefficients may differ and still be called equal; 0 for no such test.
     """
 
     runs: Mapping[str, Results]
@@ -56,23 +56,27 @@ class RunComparison:
 
     @property
     def equivalent(self) -> bool:
-        """Whether N of all axes is the same up to ``within``, and no other term differs by more."""
-        results = (
+        """Whether the recordings have the same coefficients up to the fraction ``within``.
+
+        N of all axes must be shown to be the same. The test may be undecided for other terms, but
+        must not show a difference.
+        """
+        outcomes = (
             (d.quantity, d.equivalence(self.within))
             for checks in self.differences.values()
             for d in checks
             if d.tau is None
         )
-        return all(r == 'same' or (r == 'undecided' and term != 'N') for term, r in results)
+        return all(r == 'same' or (r == 'undecided' and term != 'N') for term, r in outcomes)
 
     @property
     def differs(self) -> bool:
         """Whether any difference is significant, or a limit of a datasheet is exceeded.
 
-        If ``within`` is not 0, the recordings must be `equivalent` instead of without a significant
-        difference.
+        If ``within`` is not 0, recordings differ from each other if they are not `equivalent`,
+        whether or not a difference is significant.
         """
-        if any(worst_verdict(one.datasheet_checks) == 'exceeds' for _, one in self.checked):
+        if any(worst_verdict(results.datasheet_checks) == 'exceeds' for _, results in self.checked):
             return True
         if self.within:
             return not self.equivalent
@@ -102,7 +106,7 @@ def compare_runs(
         A limit of a datasheet is exceeded if the complete 95 % interval of a coefficient lies above
         limit * (1 + margin).
     within : float
-        Fraction up to which coefficients are tested for equality; 0 for no such test.
+        Fraction by which coefficients may differ and still be called equal; 0 for no such test.
 
     Raises
     ------
@@ -110,14 +114,16 @@ def compare_runs(
         When a recording has no axis in common with the first recording.
     """
     runs = {one_line(label): results for label, results in runs.items()}
-    (first, known), *others = runs.items()
+    (first, reference), *others = runs.items()
     for label, other in others:
-        if not set(known.axes) & set(other.axes):
+        if not set(reference.axes) & set(other.axes):
             raise AllanError(
                 f'no common axis: {label} has {", ".join(other.axes)}, '
-                f'{first} has {", ".join(known.axes)}'
+                f'{first} has {", ".join(reference.axes)}'
             )
-    found = differences((first, known.measured, other.measured) for _, other in others)
+    checks_of_others = differences(
+        (first, reference.measured, other.measured) for _, other in others
+    )
     checked = (
         (label, results.against_datasheet(sheet, margin))
         for sheet in datasheets
@@ -125,7 +131,7 @@ def compare_runs(
     )
     return RunComparison(
         runs,
-        {label: changes for (label, _), changes in zip(others, found)},
+        {label: checks for (label, _), checks in zip(others, checks_of_others)},
         tuple(checked),
         within=within,
     )
@@ -136,8 +142,8 @@ def comparison_document(comparison: RunComparison) -> dict[str, Any]:
     within = comparison.within
 
     def document(check: Check) -> dict[str, Any]:
-        tested = {'equivalence': check.equivalence(within)} if within else {}
-        return {**plain(check), **tested}
+        equivalence = {'equivalence': check.equivalence(within)} if within else {}
+        return {**plain(check), **equivalence}
 
     return {
         'schema': SCHEMA,
@@ -170,13 +176,14 @@ REST, RUNNING = 'at rest', 'at rest, motors on'
 
 @dataclass(frozen=True)
 class Inflation:
-    """Ratio of the noise of an IMU at rest with motors on to its noise with motors off.
+    """Ratio of the noise with motors on to the noise with motors off, of an IMU at rest.
 
     Attributes
     ----------
     axes : mapping of axis to term to Check
-        N and K for a state estimator with motors on, compared with N and K with motors off
-        (``limit``). Both cover the growth of the integrated error up to ``horizon``.
+        Comparison of N and K with motors on (`Check.measured`) with N and K with motors off
+        (`Check.limit`). These N and K are parameters of a state estimator. They cover the growth of
+        its error up to ``horizon``.
     comparison : RunComparison
         Comparison of the recording with motors on with the recording with motors off. It contains
         the ratios of the Allan deviations with their intervals.
@@ -190,14 +197,14 @@ class Inflation:
 
     @property
     def factor(self) -> float:
-        """Largest factor by which motors increase N, of all axes."""
+        """Largest factor over all axes by which motors increase N; at least 1."""
         return max(axis['N'].factor for axis in self.axes.values())
 
     @property
     def option(self) -> str:
-        """Largest factor by which motors increase N, for each sensor.
+        """Value of the option ``--inflate`` of ``allan export``, such as 'gyro=2.1,accel=3.4'.
 
-        It is written as the value of the option ``--inflate`` of ``allan export``.
+        Each factor is the largest factor by which motors increase N on an axis of the sensor.
         """
         factors = {sensor_of(name): 1.0 for name in self.axes}
         for name, axis in self.axes.items():
@@ -205,13 +212,16 @@ class Inflation:
         return ','.join(f'{sensor}={significant(f, 3)}' for sensor, f in factors.items())
 
     def ratios(self, axis: str) -> list[Check]:
-        """Return the ratios of the Allan deviations of an axis, one for each averaging time."""
+        """Return the ratio of the Allan deviations of an axis for each averaging time.
+
+        Each ratio is the Allan deviation with motors on to the Allan deviation with motors off.
+        """
         (checks,) = self.comparison.differences.values()
         return [d for d in checks if d.axis == axis and d.tau is not None]
 
 
 def use_of(check: Check) -> float:
-    """Return the value for a state estimator: the larger of the values with motors off and on."""
+    """Return N or K for a state estimator: the larger of the values with motors off and on."""
     return max(check.limit, check.measured.value or 0.0)
 
 

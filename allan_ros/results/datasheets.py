@@ -6,12 +6,12 @@ File format
 -----------
 A file contains the figures in the units of the datasheet. The key ``sided`` states whether a noise
 density is one- or two-sided. The key ``stated_as`` states whether a bias instability is B or the
-minimum of the curve. For the value ``unknown``, the larger of the two limits is used, with a note,
-so that an ambiguous datasheet causes no false alarm.
+minimum of the Allan deviation curve. If one of these keys is ``unknown``, the meaning with the
+larger limit is assumed, with a note, so that an ambiguous datasheet causes no false alarm.
 
-The keys ``gyro`` and ``accel`` apply to three axes; a single axis such as ``accel_z`` takes
-precedence. The file of a product that contains a known sensor names this sensor (``carries``) and
-has no figures.
+The keys ``gyro`` and ``accel`` apply to all axes of the sensor; the key of one axis, such as
+``accel_z``, takes precedence. The file of a product that contains a known sensor has no figures:
+the key ``carries`` names this sensor.
 """
 
 from __future__ import annotations
@@ -34,8 +34,9 @@ from ..readers.files import config_file, config_names, read_yaml
 SCHEMA = 'allan_ros/sensor/1'
 
 FROM_MINIMUM = 1.0 / math.sqrt(FLICKER_FLOOR)
-"""Factor from the minimum of a curve to the largest possible B. The minimum is at least
-sqrt(2 ln2/pi) B = 0.664 B, because white noise and random walk add to the flicker noise."""
+"""Factor from the minimum of an Allan deviation curve to the largest possible B. The minimum
+is at least sqrt(2 ln2/pi) B = 0.664 B, because white noise and random walk add to the flicker
+noise."""
 
 MEANINGS = {
     'sided': {
@@ -57,8 +58,8 @@ MEANINGS = {
         ),
     },
 }
-"""Key that states the meaning of a number -> value of this key -> factor from the number to N or B,
-and a note. A one-sided density is sqrt(2) N (IEEE Std 952-1997, C.1.1)."""
+"""Key that states the meaning of a number -> value of this key -> (factor, note for the user). The
+number times the factor is N or B. A one-sided density is sqrt(2) N (IEEE Std 952-1997, C.1.1)."""
 
 
 @dataclass(frozen=True)
@@ -85,7 +86,8 @@ class Limit:
 
     ``stated`` contains the number and the unit in the datasheet, and ``note`` states how the limit
     was computed from this number. ``condition`` is the condition under which the number applies,
-    such as 'typical' or a range, and ``source`` is the key of its source. Each is '' if unknown.
+    such as 'typical' or a range of temperature. ``source`` is the key of the document that states
+    the number. ``condition`` and ``source`` are '' if they are unknown.
     """
 
     value: float
@@ -100,8 +102,8 @@ class Measured:
     """Noise that was measured with one IMU of a model.
 
     ``values`` maps sensor -> term -> value in SI. ``by`` names the person or organization that
-    recorded the data, ``url`` the recording, ``hours`` its duration in h, and ``condition`` the
-    rate and temperature.
+    recorded the data, ``url`` is the address of the recording, ``hours`` is the duration of the
+    recording in h, and ``condition`` states the rate and temperature.
     """
 
     by: str
@@ -121,10 +123,10 @@ def measured_from_document(fields: Fields) -> Measured:
     for sensor in (name for name in SI_UNITS if name in fields):
         terms = fields.fields(sensor)
         for term in terms:
-            one = terms.fields(term)
-            one.only('value', 'low', 'high', 'unit')
-            factor = one.quantity(SI_UNITS[sensor][term]) / one.number('value')
-            value, low, high = (one.number(key) * factor for key in ('value', 'low', 'high'))
+            entry = terms.fields(term)
+            entry.only('value', 'low', 'high', 'unit')
+            factor = entry.quantity(SI_UNITS[sensor][term]) / entry.number('value')
+            value, low, high = (entry.number(key) * factor for key in ('value', 'low', 'high'))
             values.setdefault(sensor, {})[term] = Estimate(value, (low, high))
     return fields.record(Measured, values=values)
 
@@ -157,7 +159,7 @@ class Datasheet:
     >>> text = imu.export('openvins', filter_rate=400.0)
     >>> 'from the datasheet of BMI088 and not measured' in text, 'update_rate: 400.0' in text
     (True, True)
-    >>> [round(one.hours, 1) for one in ar.sensor('adis16405').measured]
+    >>> [round(entry.hours, 1) for entry in ar.sensor('adis16405').measured]
     [2.0, 2.0, 2.7]
     """
 
@@ -178,7 +180,7 @@ class Datasheet:
 
 
 BELOW = 3.0
-"""Factor of the figure in a datasheet to the measured N above which N is implausibly small."""
+"""Ratio of N in a datasheet to the measured N, above which the measured N is implausibly small."""
 
 
 def against_datasheet(
@@ -219,10 +221,10 @@ def exceeds_limit(check: Check, margin: float, axes: tuple[str, ...]) -> Finding
     Parameters
     ----------
     check : Check
-        The comparison. If only its ratio is known, the finding states the smallest Allan deviation
-        in the interval of the ratio instead of a value.
+        The comparison. For an Allan deviation, or a coefficient without a value, the finding states
+        the limit times the lower end of the interval of the ratio instead of a value.
     margin : float
-        Fraction by which the number may exceed the limit.
+        Fraction by which the coefficient or the Allan deviation may exceed the limit.
     axes : tuple of str
         Axes to which the finding applies.
     """
@@ -247,10 +249,10 @@ def exceeds_limit(check: Check, margin: float, axes: tuple[str, ...]) -> Finding
 def below_typical(check: Check, axes: tuple[str, ...]) -> Finding | None:
     """Return the finding that N is implausibly far below the figure of a datasheet.
 
-    Returns None unless the complete 95 % interval of N lies below the figure / `BELOW`.
+    Returns None unless the complete 95 % interval of N lies below the figure divided by `BELOW`.
     """
-    ends = check.ratio.ci95 if check.ratio.resolved else None
-    if check.quantity != 'N' or ends is None or not 0.0 < ends[1] * BELOW < 1.0:
+    ratio_ci95 = check.ratio.ci95 if check.ratio.resolved else None
+    if check.quantity != 'N' or ratio_ci95 is None or not 0.0 < ratio_ci95[1] * BELOW < 1.0:
         return None
     kind, value = (sensor_of(check.axis), 'N'), check.measured.value
     return finding(
@@ -291,7 +293,8 @@ def sheet_to_document(sheet: Datasheet, checks: Sequence[Check], margin: float) 
 def sheet_from_document(fields: Fields) -> Datasheet:
     """Return the datasheet in the object ``datasheet`` of results.json.
 
-    It has only the limits of measured axes. Raises AllanError if the object is invalid.
+    The object contains only the limits of axes that were measured. Raises AllanError if the object
+    is invalid.
     """
     sources = fields.fields('sources')
     limits: dict[str, dict[str, Limit]] = {}
@@ -302,9 +305,9 @@ def sheet_from_document(fields: Fields) -> Datasheet:
         for term in terms:
             f = terms.fields(term)
             limits.setdefault(axis, {})[term] = f.record(Limit, value=f.number('limit'))
-    stated = {key: _source(sources.fields(key)) for key in sources}
+    sources_by_key = {key: _source(sources.fields(key)) for key in sources}
     name, maker, remark = (fields.text(key) for key in ('name', 'maker', 'remark'))
-    return Datasheet(name, maker, stated, limits, remark)
+    return Datasheet(name, maker, sources_by_key, limits, remark)
 
 
 def sensor_names() -> list[str]:
@@ -324,7 +327,7 @@ def load_sensor(name: str) -> Datasheet:
     fields.schema(SCHEMA)
     fields.only('schema', 'name', 'maker', 'remark', 'sources', 'carries')
     with located(f'{fields.where}.carries'):
-        # this rejects the file of another product, and so a file that names itself
+        # a file with the key carries is rejected: a product cannot contain a product, nor itself
         sensor = _datasheet(_file(fields.text('carries')))
     return replace(
         sensor,
@@ -348,18 +351,20 @@ def _datasheet(fields: Fields) -> Datasheet:
     limits: dict[str, dict[str, Limit]] = {}
     for axis in AXES:
         for name in (sensor_of(axis), axis):
-            part = fields.optional_fields(name)
-            if part is not None:
-                limits[axis] = limits.get(axis, {}) | _limits(part, sensor_of(axis), sources)
+            stated_limits = fields.optional_fields(name)
+            if stated_limits is not None:
+                limits[axis] = limits.get(axis, {}) | _limits(
+                    stated_limits, sensor_of(axis), sources
+                )
     name, maker, remark = fields.text('name'), fields.text('maker', ''), fields.text('remark', '')
-    stated = fields.each('measured') if 'measured' in fields else ()
-    measured = tuple(map(measured_from_document, stated))
+    measured_entries = fields.each('measured') if 'measured' in fields else ()
+    measured = tuple(map(measured_from_document, measured_entries))
     return Datasheet(name, maker, sources, limits, remark, measured=measured)
 
 
 def _sources(fields: Fields) -> dict[str, Source]:
-    stated = fields.fields('sources')
-    sources = {key: _source(stated.fields(key)) for key in stated}
+    source_fields = fields.fields('sources')
+    sources = {key: _source(source_fields.fields(key)) for key in source_fields}
     if not sources:
         raise AllanError(
             f'{fields.where}.sources is empty: name the document that states the figures'
@@ -376,7 +381,8 @@ def _limits(fields: Fields, sensor: str, sources: Collection[str]) -> dict[str, 
     walk, units = ('arw' if sensor == 'gyro' else 'vrw'), SI_UNITS[sensor]
     fields.only(walk, 'noise_density', 'bias_instability')
     limits = {}
-    # A random walk takes precedence over a noise density: it is N itself, without an assumption.
+    # A random walk takes precedence over a noise density. It is N itself, whereas a density may be
+    # one- or two-sided.
     for key, term, meaning in (
         ('noise_density', 'N', 'sided'),
         (walk, 'N', ''),
@@ -390,8 +396,8 @@ def _limits(fields: Fields, sensor: str, sources: Collection[str]) -> dict[str, 
 def _quantity(fields: Fields, unit: str, sources: Collection[str], meaning: str = '') -> Limit:
     """Return an object with the keys value, unit, condition and source as a limit in SI.
 
-    ``meaning`` is a key of `MEANINGS` that the object must contain, too; '' for none. ``unit`` is
-    the SI unit. Raises AllanError if the object is invalid.
+    ``unit`` is the SI unit of the limit. ``meaning`` is a key of `MEANINGS` that the object must
+    contain in addition; '' for none. Raises AllanError if the object is invalid.
     """
     fields.only('value', 'unit', 'condition', 'source', *([meaning] if meaning else []))
     factor, note = 1.0, ''
@@ -403,5 +409,7 @@ def _quantity(fields: Fields, unit: str, sources: Collection[str], meaning: str 
     source = next(iter(sources))
     if 'source' in fields or len(sources) > 1:
         source = fields.choice('source', tuple(sources))
-    stated = f'{value:g} {fields.text("unit")}'
-    return Limit(fields.quantity(unit) * factor, stated, note, fields.text('condition', ''), source)
+    stated_text = f'{value:g} {fields.text("unit")}'
+    return Limit(
+        fields.quantity(unit) * factor, stated_text, note, fields.text('condition', ''), source
+    )

@@ -2,8 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Write and read the JSON documents `results.json` and `sums.json`.
 
-Unknown values are null, never NaN. Reading is strict: another version, a wrong type, or a missing
-field without a default raises AllanError with the position in the document.
+Unknown values are null, never NaN. Reading is strict: AllanError is raised for another version of
+the schema, a value of a wrong type, and a missing field without a default. The message states the
+position in the document.
 """
 
 from __future__ import annotations
@@ -55,11 +56,11 @@ SHORTEST_PERIOD_S, LONGEST_PERIOD_S = 1e-9, 1e9
 """Range of valid sample periods in s: from the resolution of a stamp, 1 ns, to thirty years."""
 
 MAX_SETTINGS = 100
-"""Largest number of settings in a document, and of entries in one setting."""
+"""Largest number of settings in a document, and of items in a setting that is a list."""
 
 WRITTEN_SEGMENTS = 1000
-"""Largest number of segments that a document lists, the longest first. The total number is always
-stated."""
+"""Largest number of segments that a document lists: the longest segments, longest first. The number
+of all segments is stated in addition."""
 
 FIT = ('m_min', 'filtered', 'white_scatter', 'drift_scatter', 'gof_z', 'lack_of_fit')
 AXIS = ('rounding', 'turn_on', 'temperature', 'at_rest', 'growth')
@@ -74,9 +75,10 @@ DOCUMENT_KEYS = {
 
 
 def results_to_document(results: Results, curves: bool = True) -> dict[str, Any]:
-    """Return the results as a document ``allan_ros/results/3`` in SI, without texts.
+    """Return the results as a document ``allan_ros/results/3`` in SI.
 
-    If ``curves`` is False, the document contains no curves and is much shorter.
+    Findings are written as data, without their texts. If ``curves`` is False, the document contains
+    no curves and is much shorter.
     """
     return {
         'schema': RESULTS_SCHEMA,
@@ -109,14 +111,16 @@ def results_from_document(document: object, where: str = 'results') -> Results:
     fields = Fields(document, where, DOCUMENT_KEYS)
     fields.schema(RESULTS_SCHEMA)
     provenance = _provenance_from_document(fields)
-    stated = fields.fields('axes')
-    axes = {name: _axis_from_document(name, stated.fields(name)) for name in _axes_of(stated)}
+    stated_axes = fields.fields('axes')
+    axes = {
+        name: _axis_from_document(name, stated_axes.fields(name)) for name in _axes_of(stated_axes)
+    }
     stated_sheet = fields.optional_fields('datasheet')
     motion = None
-    if (moved := fields.optional_fields('motion')) is not None:
+    if (motion_fields := fields.optional_fields('motion')) is not None:
         from ..core.filters.motion_factors import NoiseInMotion
 
-        motion = moved.record(NoiseInMotion)
+        motion = motion_fields.record(NoiseInMotion)
     return Results(
         ImuIdentity(fields.text('frame_id', ''), fields.text('hardware_id', '')),
         fields.text('method'),
@@ -172,8 +176,9 @@ def sums_file_from_document(
 def load(path: str | os.PathLike[str], method: str = 'likelihood') -> Results:
     """Read the results of an earlier analysis from its folder, a results.json, or a sums.json.
 
-    The Allan sums in a sums.json are fitted again by ``method``. Raises AllanError when the file is
-    missing or invalid, or when the results and the sums in a folder are of different analyses.
+    If only a sums.json is read, its Allan sums are fitted again by ``method``. Raises AllanError
+    when the file is missing or invalid, or when the results.json and the sums.json in a folder are
+    of different analyses.
     """
     expect(PATH, 'a path', path=path)
     place = Path(path)
@@ -189,7 +194,8 @@ def load(path: str | os.PathLike[str], method: str = 'likelihood') -> Results:
     if not Path(path).is_dir() or not file.is_file():
         return results
     sums: Any = read_json(file)
-    if document.get('fingerprint') != fingerprint(sums):  # a process was killed between two writes
+    if document.get('fingerprint') != fingerprint(sums):
+        # a process was killed after it had written one of the two files
         raise AllanError(
             f'{path}: {RESULTS} and {SUMS} are of different analyses: analyze the recording again, '
             'or give one of the two files'
@@ -225,22 +231,22 @@ def file_in(path: str | os.PathLike[str], name: str) -> str:
 def labels_of(paths: Sequence[str]) -> list[str]:
     """Return a label for each path.
 
-    The label is the name of the file without suffix; for a results.json or sums.json, it is the
-    name of the folder. If two such labels are equal, the labels are the paths.
+    The label is the name of the file without its suffix; for a results.json or sums.json, it is the
+    name of the folder. If two such labels are equal or one is empty, the paths are the labels.
     """
-    short = [
+    short_names = [
         Path(path).resolve().parent.name if Path(path).name in (RESULTS, SUMS) else Path(path).stem
         for path in paths
     ]
-    are_unique = len(set(short)) == len(short) and all(short)
-    return short if are_unique else [str(path) for path in paths]
+    are_unique = len(set(short_names)) == len(short_names) and all(short_names)
+    return short_names if are_unique else [str(path) for path in paths]
 
 
 def _provenance_to_document(provenance: Provenance) -> dict[str, Any]:
-    longest = sorted(provenance.segments, key=lambda s: -s.samples)[:WRITTEN_SEGMENTS]
+    longest_segments = sorted(provenance.segments, key=lambda s: -s.samples)[:WRITTEN_SEGMENTS]
     return {
         'source': plain(provenance.sources),
-        'segments': plain(longest),
+        'segments': plain(longest_segments),
         'counts': plain(provenance.counts),
         'settings': dict(provenance.settings),
     }
@@ -260,17 +266,21 @@ def _provenance_from_document(fields: Fields) -> Provenance:
 
 
 def finding_from_document(fields: Fields) -> Finding:
-    """Return a finding in a document.
+    """Return a finding from its JSON object.
 
-    If the catalog does not contain its id, or values are missing, because the document is of
-    another version, the finding gets the message and the remedy in the document. Raises AllanError
-    if the finding is invalid.
+    If another version wrote the document, the present catalog may not contain the id of the
+    finding, or may require other values. The finding then gets the message and the remedy in the
+    document. Raises AllanError if the finding is invalid.
     """
-    stated = fields.optional_fields('values')
-    values = {name: _value_from_document(stated, name) for name in stated} if stated else {}
-    known = CATALOG.get(fields.text('id'))
+    stated_values = fields.optional_fields('values')
+    values = (
+        {name: _value_from_document(stated_values, name) for name in stated_values}
+        if stated_values
+        else {}
+    )
+    entry = CATALOG.get(fields.text('id'))
     texts = None
-    if known is None or missing_values(known, values):
+    if entry is None or missing_values(entry, values):
         texts = one_line(fields.text('message')), one_line(fields.text('remedy'))
         values = {}
     axes = fields.typed('axes', tuple[str, ...])
@@ -293,8 +303,8 @@ def _quantity_from_document(fields: Fields) -> Estimate:
         for key in ('value', 'low', 'high')
     )
     sensor, term = fields.choice('sensor', tuple(SENSORS)), fields.choice('term', QUANTITIES)
-    ends = None if low is None or high is None else (low, high)
-    return quantity(value, sensor, term, ends, None if ends else high)
+    ci95 = None if low is None or high is None else (low, high)
+    return quantity(value, sensor, term, ci95, None if ci95 else high)
 
 
 def _settings_from_document(fields: Fields) -> Mapping[str, Any]:
@@ -326,11 +336,11 @@ def _axes_of(fields: Fields) -> tuple[str, ...]:
 
 
 def _axis_to_document(name: str, axis: AxisResult, curves: bool) -> dict[str, Any]:
-    fit, unit = axis.fit, SI_UNITS[sensor_of(name)]
+    fit, units = axis.fit, SI_UNITS[sensor_of(name)]
     document: dict[str, Any] = {
-        'unit': unit['B'],
+        'unit': units['B'],
         'tau0_s': axis.tau0,
-        'noise': {t: {**plain(fit.noise[t]), 'unit': unit[t]} for t in TERMS},
+        'noise': {t: {**plain(fit.noise[t]), 'unit': units[t]} for t in TERMS},
         **{name: plain(getattr(fit, name)) for name in FIT},
         'white_std_per_sample': _scaled(fit.noise['N'], axis.tau0**-0.5),
         'walk_std_per_sample': _scaled(fit.noise['K'], axis.tau0**0.5),
@@ -348,10 +358,14 @@ def _axis_to_document(name: str, axis: AxisResult, curves: bool) -> dict[str, An
 
 
 def _axis_from_document(name: str, fields: Fields) -> AxisResult:
-    noise, stated, covariance = fields.fields('noise'), fields.optional_fields('covariance'), None
-    if stated is not None:
-        names = stated.typed('names', tuple[str, ...])
-        covariance = Covariance(names, stated.table('matrix', len(names), len(names)))
+    noise, stated_covariance, covariance = (
+        fields.fields('noise'),
+        fields.optional_fields('covariance'),
+        None,
+    )
+    if stated_covariance is not None:
+        names = stated_covariance.typed('names', tuple[str, ...])
+        covariance = Covariance(names, stated_covariance.table('matrix', len(names), len(names)))
     fit = fields.record(
         AxisFit,
         noise={t: Estimate.from_document(noise.fields(t), signed=t == 'R') for t in TERMS},
@@ -368,7 +382,10 @@ def _axis_from_document(name: str, fields: Fields) -> AxisResult:
 
 
 def _model_to_document(model: Model) -> list[dict[str, Any]]:
-    """Return name, coefficient and shape of each process of a model, with intervals."""
+    """Return the name, the coefficient and the shape of each process of a model.
+
+    The 95 % intervals of the coefficients and of the shapes are included.
+    """
     return [
         {
             'process': part.process.name,
@@ -385,17 +402,19 @@ def _part_from_document(fields: Fields) -> Part:
     kind = PROCESSES[fields.choice('process', tuple(PROCESSES))]
     shape = [fields.number(p.name, least=SHORTEST_PERIOD_S) for p in kind.parameters]
     value = fields.number('value', -math.inf if kind.is_regressor else 0.0)
-    ends = fields.typed('shape_ci95', tuple[tuple[float, float], ...])
-    if len(ends) not in (0, len(shape)):
-        raise AllanError(f'{fields.where}.shape_ci95 has {len(ends)} intervals: give {len(shape)}')
-    return Part(kind(*shape), value, fields.typed('ci95', tuple[float, float] | None), ends)
+    shape_ci95 = fields.typed('shape_ci95', tuple[tuple[float, float], ...])
+    if len(shape_ci95) not in (0, len(shape)):
+        raise AllanError(
+            f'{fields.where}.shape_ci95 has {len(shape_ci95)} intervals: give {len(shape)}'
+        )
+    return Part(kind(*shape), value, fields.typed('ci95', tuple[float, float] | None), shape_ci95)
 
 
 def _scaled(coefficient: Estimate, factor: float) -> float | None:
     if coefficient.value is None or coefficient.status != 'estimated':
         return None
-    found: float | None = plain(coefficient.value * factor)
-    return found
+    scaled: float | None = plain(coefficient.value * factor)
+    return scaled
 
 
 def _curve_from_document(fields: Fields) -> AxisCurve:
@@ -403,6 +422,6 @@ def _curve_from_document(fields: Fields) -> AxisCurve:
     if len({len(column) for column in vars(curve).values()}) > 1:
         raise AllanError(f'{fields.where}: its columns have different lengths')
     tau = curve.tau
-    if len(tau) and not (tau[0] > 0.0 and (np.diff(tau) > 0.0).all()):  # also fails for NaN
+    if len(tau) and not (tau[0] > 0.0 and (np.diff(tau) > 0.0).all()):  # NaN fails, too
         raise AllanError(f'{fields.where}.tau is not positive and increasing')
     return curve

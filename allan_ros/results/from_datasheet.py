@@ -23,21 +23,22 @@ FROM_DATASHEET = 'datasheet'
 """`Results.method` of results that come from a datasheet."""
 
 DEFAULT_RATE_HZ = 200.0
-"""Sample rate in Hz that files from a datasheet state, unless the user states another rate."""
+"""Sample rate in Hz in files for an IMU that was not measured, unless the user states a rate."""
 
 CROSSING_S = 10.0
-"""Averaging time in s at which flicker noise is assumed to equal white noise, if a datasheet states
-no B. This time is 7 to 200 s for the sensors that were measured. A shorter time gives a larger B.
-"""
+"""Averaging time in s at which flicker noise and white noise are assumed to have equal Allan
+deviations, if a datasheet states no B. This time is 7 to 200 s for the sensors that were measured.
+A shorter time gives a larger B."""
 
 
 def results_of_datasheet(sheet: Datasheet, rate: float = DEFAULT_RATE_HZ) -> Results:
-    """Return the noise model of a datasheet as results of an IMU with a sample rate in Hz.
+    """Return the noise model of a datasheet as the results of an IMU.
 
-    The model has the stated N and B. If the datasheet states no B, B follows from `CROSSING_S`.
-    Raises AllanError if the datasheet states no N of an axis.
+    ``rate`` is the sample rate of the IMU in Hz. The model has the stated N and B. If the datasheet
+    states no B, B is computed from N and `CROSSING_S`. Raises AllanError if the datasheet states no
+    N of an axis.
     """
-    axes, assumed = {}, []
+    axes, axes_without_bias = {}, []
     for axis, terms in sheet.values().items():
         if 'N' not in terms:
             raise AllanError(
@@ -45,24 +46,24 @@ def results_of_datasheet(sheet: Datasheet, rate: float = DEFAULT_RATE_HZ) -> Res
                 'allan analyze'
             )
         if 'B' not in terms:
-            assumed.append(axis)
+            axes_without_bias.append(axis)
         flicker = terms['N'] / math.sqrt(FLICKER_FLOOR * CROSSING_S)
-        known = {'N': Estimate(terms['N']), 'B': Estimate(terms.get('B', flicker))}
-        noise = {term: known.get(term, UNKNOWN) for term in TERMS}
+        estimates = {'N': Estimate(terms['N']), 'B': Estimate(terms.get('B', flicker))}
+        noise = {term: estimates.get(term, UNKNOWN) for term in TERMS}
         fit = AxisFit(noise, model_of_terms(noise))
         axes[axis] = AxisResult(1.0 / rate, fit, name=axis)
     low, high = known_factors(map(load_sensor, sensor_names()))
-    found = [finding('from_datasheet', name=sheet.name, low=low, high=high)]
-    if assumed:
-        found.append(finding('bias_not_stated', tuple(assumed), time=CROSSING_S))
-    stated = [f'{one} {one.url}'.strip() for one in sheet.sources.values()]
-    stated += [
-        f'{kind} {term} stated {limit.stated}{f" ({limit.note})" if limit.note else ""}'
-        for kind in SENSORS
+    findings = [finding('from_datasheet', name=sheet.name, low=low, high=high)]
+    if axes_without_bias:
+        findings.append(finding('bias_not_stated', tuple(axes_without_bias), time=CROSSING_S))
+    source_texts = [f'{source} {source.url}'.strip() for source in sheet.sources.values()]
+    source_texts += [
+        f'{sensor} {term} stated {limit.stated}{f" ({limit.note})" if limit.note else ""}'
+        for sensor in SENSORS
         for term in 'NB'
-        if (limit := sheet.limits.get(f'{kind}_x', {}).get(term))
+        if (limit := sheet.limits.get(f'{sensor}_x', {}).get(term))
     ]
-    sources = tuple(SourceInfo(text, '', '', '') for text in stated)
+    sources = tuple(SourceInfo(text, '', '', '') for text in source_texts)
     identity, provenance = ImuIdentity(sheet.name), Provenance(sources)
     period = 1.0 / rate
-    return Results(identity, FROM_DATASHEET, period, 0, 0.0, 0, axes, provenance, tuple(found))
+    return Results(identity, FROM_DATASHEET, period, 0, 0.0, 0, axes, provenance, tuple(findings))

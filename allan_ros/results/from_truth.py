@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The true noise of a simulated recording as `Results`, to score measured results."""
+"""The true noise of a simulated recording as `Results`, with which measurements are compared."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from .results import Results
 from .simulation import TRUTH_SCHEMA, TRUTH_SUFFIX, read_noise
 
 TRUTH = 'truth'
-"""`Results.method` of the true noise."""
+"""Value of `Results.method` for results that contain the true noise."""
 
 
 def is_truth(path: str | os.PathLike[str]) -> bool:
@@ -36,7 +36,8 @@ def results_of_truth(path: str | os.PathLike[str]) -> Results:
     """Return the noise in the truth file of a simulated recording as results.
 
     The intervals have no width, because the noise is known exactly. A term that was not simulated
-    has no value, so that it is not compared. Raises AllanError when the file is invalid.
+    has no value, so that measured results are not compared with it. Raises AllanError when the file
+    is invalid.
     """
     fields = Fields(read_yaml(Path(path)), str(path))
     tau0, seconds = 1.0 / fields.number('rate_hz'), fields.number('seconds')

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Measure the noise in motion from the drives of the recordings of an analysis."""
+"""Measure the noise in motion from drives: the motions between two rests in recordings."""
 
 from __future__ import annotations
 
@@ -25,21 +25,22 @@ if TYPE_CHECKING:
     from .results import Results
 
 LEAST_REST_S = 60.0
-"""Shortest time at rest in s from which the noise at rest is known well enough for a comparison."""
+"""Shortest data at rest in s for a result. From shorter data, the noise at rest is not known well
+enough to compare the noise in motion with it."""
 
 MOVING = 0.1
-"""Share of the samples in motion from which a recording is taken as a recording of drives. With a
-smaller share, no finding says that the noise in motion could not be measured."""
+"""Smallest share of samples in motion in a recording of drives. With a smaller share, no finding
+states that the noise in motion could not be measured."""
 
 EXPLAINED = 0.7
-"""A cause is stated for a sensor if its factor with the cause is below this share of its factor
-without the cause."""
+"""A finding names calibration errors as the cause of errors in motion if they explain many of these
+errors: `SensorInMotion.explained` must be below this share of `SensorInMotion.factor`."""
 
 INTEGRAL_NAMES = {'gyro': 'angle', 'accel': 'velocity'}
 """Sensor -> name of the integral of its samples."""
 
 MEASURED = ('error_in_motion', 'motion_as_at_rest')
-"""Ids of the findings that state a factor of the noise in motion to the noise at rest."""
+"""Ids of the findings that state the ratio of the errors in motion to the predicted errors."""
 
 CAUSE_NAMES = {
     'rotation': 'a rotation between gyro and accelerometer',
@@ -50,20 +51,20 @@ CAUSE_NAMES = {
 
 
 def with_motion(results: Results, drives: Drives) -> Results:
-    """Return the results of a robot in use, with the noise in motion of its latest drives.
+    """Return the results with the noise in motion that follows from the latest drives of a robot.
 
-    If there are too few drives or too little data at rest, ``results.motion`` is None, without a
-    finding.
+    If there are too few drives or too little data at rest, the noise in motion is None, and no
+    finding states this.
     """
-    motion, found = measure_motion(
+    motion, motion_findings = measure_motion(
         drives, results.axes, results.duration_s, 0.0, hidden=is_hidden(results.findings)
     )
-    others = (f for f in results.findings if f.id not in MEASURED)
-    return replace(results, motion=motion, findings=(*others, *found))
+    other_findings = (f for f in results.findings if f.id not in MEASURED)
+    return replace(results, motion=motion, findings=(*other_findings, *motion_findings))
 
 
 def is_hidden(findings: Iterable[Finding]) -> bool:
-    """Return whether motion or vibration hides the noise of the sensor at rest."""
+    """Return whether a finding states that motion or vibration hides the noise of the sensor."""
     return any(f.id == 'not_noise' for f in findings)
 
 
@@ -80,7 +81,7 @@ def measure_motion(
     Parameters
     ----------
     drives : Drives
-        Drives between rests.
+        The drives: the motions between two rests.
     noise : mapping of axis name to AxisResult
         Noise at rest, from the same recordings or from other recordings of the same IMU.
     rest_s : float
@@ -93,29 +94,30 @@ def measure_motion(
     Returns
     -------
     motion : NoiseInMotion or None
-        None if there are too few drives, or if the noise at rest is not known.
+        None if there are too few drives, or if the noise at rest is not known well enough.
     findings : tuple of Finding
-        Empty without drives, and for a recording at rest that was disturbed only a few times.
+        Empty if there are no drives. Also empty if ``motion`` is None and less than a tenth of the
+        samples were taken in motion, as in a recording at rest with a few disturbances.
     """
-    unresolved = [a for a in AXES if a not in noise or not noise[a].fit.noise['N'].resolved]
-    is_known = not (unresolved or hidden)
+    unresolved_axes = [a for a in AXES if a not in noise or not noise[a].fit.noise['N'].resolved]
+    is_known = not (unresolved_axes or hidden)
     if is_known and rest_s >= LEAST_REST_S and len(drives.errors) >= LEAST_DRIVES:
         motion = noise_in_motion(drives.errors, noise_at_rest(noise))
         assert motion is not None
         return motion, tuple(_factors(motion))
-    seen = len(drives.errors) + sum(drives.unused.values())
-    if not seen or moving < MOVING:
+    drive_count = len(drives.errors) + sum(drives.unused.values())
+    if not drive_count or moving < MOVING:
         return None, ()
     if len(drives.errors) >= LEAST_DRIVES and not is_known:
         return None, (
-            finding('motion_without_noise', tuple(unresolved), drives=len(drives.errors)),
+            finding('motion_without_noise', tuple(unresolved_axes), drives=len(drives.errors)),
         )
-    reasons = ', '.join(f'{number} {REASONS[why]}' for why, number in drives.unused.items())
+    reasons = ', '.join(f'{number} {REASONS[reason]}' for reason, number in drives.unused.items())
     return None, (
         finding(
             'motion_not_measured',
             drives=len(drives.errors),
-            seen=seen,
+            seen=drive_count,
             unused=reasons or None,
             at_rest=rest_s,
             needed=LEAST_DRIVES,
@@ -127,17 +129,23 @@ def measure_motion(
 def noise_at_rest(axes: Mapping[str, AxisResult]) -> list[NoiseAtRest]:
     """Return the noise of the six axes at rest, in the order of `AXES`.
 
-    The model of an axis is without B and K that are not resolved, because their estimates can
-    exceed the truth by far. Their upper limits are given instead.
+    If B or K of an axis is not resolved, the upper limit of this term is given instead of the
+    estimate, because the estimate can exceed the true value by far.
     """
-    found = []
+    noise_of_axes = []
     for name in AXES:
         fit, tau0 = axes[name].fit, axes[name].tau0
-        unresolved = {letter: one for letter, one in fit.noise.items() if not one.resolved}
-        model = fit.model.changed(**{letter: 0.0 for letter in 'BK' if letter in unresolved})
-        limits = {letter: one.upper95 for letter, one in unresolved.items() if one.upper95}
-        found.append(axis_noise(model, tau0, limits))
-    return found
+        unresolved_terms = {
+            letter: estimate for letter, estimate in fit.noise.items() if not estimate.resolved
+        }
+        model = fit.model.changed(**{letter: 0.0 for letter in 'BK' if letter in unresolved_terms})
+        limits = {
+            letter: estimate.upper95
+            for letter, estimate in unresolved_terms.items()
+            if estimate.upper95
+        }
+        noise_of_axes.append(axis_noise(model, tau0, limits))
+    return noise_of_axes
 
 
 REASONS = {
@@ -155,27 +163,27 @@ def causes_text(motion: NoiseInMotion) -> str:
 
 
 def _factors(motion: NoiseInMotion) -> Iterator[Finding]:
-    for sensor, one in motion.sensors.items():
-        factor, left, value = one.factor, one.explained, one.factor.value or 1.0
+    for sensor, errors in motion.sensors.items():
+        factor, explained, ratio = errors.factor, errors.explained, errors.factor.value or 1.0
         low, high = factor.ci95 or (0.0, math.inf)
         axes = tuple(axis for axis in AXES if axis.startswith(sensor))
-        numbers = {
+        values = {
             'error': INTEGRAL_NAMES[sensor],
-            'ratio': value,
+            'ratio': ratio,
             'low': low,
             'high': high,
             'drives': len(motion.drives),
         }
         if not one.is_worse:
-            yield finding('motion_as_at_rest', axes, **numbers)
+            yield finding('motion_as_at_rest', axes, **values)
             continue
-        is_explained = left is not None and (left.value or 0.0) < EXPLAINED * value
+        has_cause = explained is not None and (explained.value or 0.0) < EXPLAINED * ratio
         yield finding(
             'error_in_motion',
             axes,
-            **numbers,
-            cause=causes_text(motion) if is_explained else None,
-            left=left.value if left is not None and is_explained else None,
-            white=one.white.value if one.white else None,
-            slow=one.slow.value if one.slow else None,
+            **values,
+            cause=causes_text(motion) if has_cause else None,
+            left=explained.value if explained is not None and has_cause else None,
+            white=errors.white.value if errors.white else None,
+            slow=errors.slow.value if errors.slow else None,
         )

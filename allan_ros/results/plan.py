@@ -14,7 +14,8 @@
     rate: {lower: 99, upper: 101, unit: Hz}
     duration: {lower: 600, unit: s}
 
-``gyro`` and ``accel`` apply to three axes; a single axis takes precedence.
+The keys ``gyro`` and ``accel`` apply to all axes of the sensor; the key of one axis, such as
+``accel_z``, takes precedence.
 """
 
 from __future__ import annotations
@@ -81,7 +82,8 @@ SCALES: Mapping[str, Mapping[str, float]] = {
     'degC': {'degC': 1.0},
     '': {'': 1.0, '%': 0.01},
 }
-"""Unit of a quantity that is not in `UNITS` -> stated unit -> factor."""
+"""Unit of a quantity that is not in `UNITS` -> unit that a plan may state -> factor from the stated
+unit to the unit of the quantity."""
 
 ABOUT_THE_DATA = ('duration', 'used', 'temperature')
 """Quantities of the recording, not of the IMU. If they exceed their limits, the IMU is not judged.
@@ -91,16 +93,16 @@ SIGNED = ('bias', 'temperature_drift')
 """Quantities that can be negative, and therefore need both limits."""
 
 NEAR_K = 3.0
-"""Largest difference in K between the temperature at which a limit applies and the temperature of
-the recording, if there is no model of the bias over temperature."""
+"""Largest accepted difference in K between the temperature at which a limit applies and the
+temperature of the recording, if no model of the bias covers the temperature of the limit."""
 
 
 @dataclass(frozen=True)
 class Limits:
-    """Limits of one quantity in SI, of a temperature in degC, and of an angle in deg.
+    """Limits of one quantity: in SI, but in degC for a temperature, and in deg for an angle.
 
-    ``lower`` or ``upper`` is None for no limit. ``unit`` is the unit in which the plan states the
-    limits, and ``scale`` is the factor from this unit to the unit of ``lower`` and ``upper``.
+    ``lower`` or ``upper`` is None if there is no such limit. ``unit`` is the unit in which the plan
+    states the limits, and ``scale`` is the factor from this unit to the unit of both limits.
     ``at`` is the temperature in degC at which a bias is judged; None for the temperature of the
     recording.
     """
@@ -123,10 +125,10 @@ class Plan:
     axes : mapping of axis to quantity to Limits
         Limits of the quantities of each axis.
     whole : mapping of quantity to Limits
-        Limits of the whole IMU and of the recording.
+        Limits of quantities of the whole IMU, and of quantities of the recording.
     up : (3,) or None
-        Direction of the measured acceleration at rest in the frame of the IMU, of length 1; None if
-        the plan does not state the orientation.
+        Unit vector of the measured acceleration at rest in the frame of the IMU; None if the plan
+        does not state the orientation.
 
     Examples
     --------
@@ -151,41 +153,47 @@ class Plan:
     def checks(self, results: Results) -> tuple[Check, ...]:
         """Return a check of each quantity that the plan limits.
 
-        Checks of the whole IMU come first, because they often explain the others. The verdict is
-        'undecided' for a quantity that the results do not contain.
+        Checks of the whole IMU come first, because they often explain the checks of single axes.
+        The verdict is 'undecided' for a quantity that the results do not contain.
         """
-        found: list[Check] = []
+        checks: list[Check] = []
         for quantity, limits in self.whole.items():
-            known = self._of_unit(results, quantity)
-            found.append(self._check('', quantity, limits, *known))
+            measured_and_note = self._of_unit(results, quantity)
+            checks.append(self._check('', quantity, limits, *measured_and_note))
         for axis, quantities in self.axes.items():
             for quantity, limits in quantities.items():
-                known = self._of_axis(results, axis, quantity, limits)
-                found.append(self._check(axis, quantity, limits, *known))
-        return tuple(found)
+                measured_and_note = self._of_axis(results, axis, quantity, limits)
+                checks.append(self._check(axis, quantity, limits, *measured_and_note))
+        return tuple(checks)
 
     def limits_of(self, check: Check) -> Limits:
-        """Return the limits of a check of this plan, with their unit."""
+        """Return the limits in this plan with which a check was made."""
         return self.axes[check.axis][check.quantity] if check.axis else self.whole[check.quantity]
 
     def _check(
         self, axis: str, quantity: str, limits: Limits, measured: Estimate, note: str
     ) -> Check:
-        ends = limits.lower, limits.upper
-        found = check_limits(axis, quantity, self.name, measured, *ends, note=note)
-        if found.verdict == 'exceeds' and quantity in ABOUT_THE_DATA:
-            return replace(found, verdict='undecided')
-        return found
+        lower_and_upper = limits.lower, limits.upper
+        check = check_limits(axis, quantity, self.name, measured, *lower_and_upper, note=note)
+        if check.verdict == 'exceeds' and quantity in ABOUT_THE_DATA:
+            return replace(check, verdict='undecided')
+        return check
 
     def unchecked(self, results: Results) -> list[str]:
         """Return the names of quantities that the plan does not limit, such as 'gyro B', 'rate'."""
         names = []
         for sensor, where in SENSORS.items():
-            measured = [axis for axis in AXES[where] if axis in results.axes]
-            for quantity in AXIS_UNITS[sensor] if measured else ():
-                free = [axis for axis in measured if quantity not in self.axes.get(axis, {})]
-                all_free = len(free) == len(measured)
-                names += [f'{sensor} {quantity}'] if all_free else [f'{a} {quantity}' for a in free]
+            measured_axes = [axis for axis in AXES[where] if axis in results.axes]
+            for quantity in AXIS_UNITS[sensor] if measured_axes else ():
+                unlimited_axes = [
+                    axis for axis in measured_axes if quantity not in self.axes.get(axis, {})
+                ]
+                no_axis_is_limited = len(unlimited_axes) == len(measured_axes)
+                names += (
+                    [f'{sensor} {quantity}']
+                    if no_axis_is_limited
+                    else [f'{a} {quantity}' for a in unlimited_axes]
+                )
         return names + [quantity for quantity in UNIT_UNITS if quantity not in self.whole]
 
     def _of_axis(
@@ -205,27 +213,30 @@ class Plan:
             return rest.slope, ''
         if quantity != 'bias':
             return _exact(getattr(rest, quantity))
-        expected = self._gravity_on(axis)
+        gravity = self._gravity_on(axis)
         if limits.at is None:
-            return _exact(rest.mean - expected)
+            return _exact(rest.mean - gravity)
         model = result.temperature
         if model is not None and model.lowest <= limits.at <= model.highest:
-            return _exact(float(model.bias(np.array(limits.at))) - expected)
+            return _exact(float(model.bias(np.array(limits.at))) - gravity)
         if rest.temperature is None:
             return UNKNOWN, 'the temperature was not recorded'
         if abs(rest.temperature - limits.at) > NEAR_K:
             return UNKNOWN, f'the temperature was {rest.temperature:.1f} degC'
-        return _exact(rest.mean - expected)
+        return _exact(rest.mean - gravity)
 
     def _gravity_on(self, axis: str) -> float:
-        """Return the acceleration in m/s^2 that an axis without bias measures at rest."""
+        """Return the gravity in m/s^2 that an axis of the accelerometer measures at rest.
+
+        Returns 0 for an axis of the gyro, and if the plan does not state the orientation.
+        """
         if sensor_of(axis) == 'gyro' or self.up is None:
             return 0.0
-        known = self.whole.get('gravity')
-        size = STANDARD_GRAVITY
-        if known is not None and known.lower is not None and known.upper is not None:
-            size = 0.5 * (known.lower + known.upper)
-        return size * self.up['xyz'.index(axis[-1])]
+        limits = self.whole.get('gravity')
+        gravity = STANDARD_GRAVITY
+        if limits is not None and limits.lower is not None and limits.upper is not None:
+            gravity = 0.5 * (limits.lower + limits.upper)
+        return gravity * self.up['xyz'.index(axis[-1])]
 
     def _of_unit(self, results: Results, quantity: str) -> tuple[Estimate, str]:
         if quantity == 'rate':
@@ -236,16 +247,20 @@ class Plan:
             return _exact(used_share(results))
         rests = {name: axis.at_rest for name, axis in results.axes.items() if axis.at_rest}
         if quantity == 'temperature':
-            known = [rest.temperature for rest in rests.values() if rest.temperature is not None]
-            return _exact(known[0]) if known else (UNKNOWN, 'it was not recorded')
-        accel = [rests[axis].mean for axis in AXES[SENSORS['accel']] if axis in rests]
-        if len(accel) < 3:
+            temperatures = [
+                rest.temperature for rest in rests.values() if rest.temperature is not None
+            ]
+            return _exact(temperatures[0]) if temperatures else (UNKNOWN, 'it was not recorded')
+        means = [rests[axis].mean for axis in AXES[SENSORS['accel']] if axis in rests]
+        if len(means) < 3:
             return UNKNOWN, 'the accelerometer was not measured'
-        size = math.hypot(*accel)
+        norm = math.hypot(*means)
         if quantity == 'gravity':
-            return _exact(size)
-        along = sum(a * u for a, u in zip(accel, self.up or (0.0, 0.0, 0.0)))
-        return _exact(math.degrees(math.acos(max(-1.0, min(1.0, along / size)))) if size else None)
+            return _exact(norm)
+        up_component = sum(a * u for a, u in zip(means, self.up or (0.0, 0.0, 0.0)))
+        return _exact(
+            math.degrees(math.acos(max(-1.0, min(1.0, up_component / norm)))) if norm else None
+        )
 
 
 def _exact(value: float | None) -> tuple[Estimate, str]:
@@ -253,7 +268,7 @@ def _exact(value: float | None) -> tuple[Estimate, str]:
 
 
 def used_share(results: Results) -> float | None:
-    """Return the share of used samples among all samples that were used, excluded or lost.
+    """Return the number of used samples divided by the number of used, excluded and lost samples.
 
     Returns None if there are no samples.
     """
@@ -268,7 +283,8 @@ def used_share(results: Results) -> float | None:
 def load_plan(path: str | Path) -> Plan:
     """Read a test plan from a YAML or JSON file.
 
-    Raises AllanError if the file cannot be read, or with the position of an invalid entry.
+    Raises AllanError if the file cannot be read or an entry is invalid; the message states the
+    position of the entry.
     """
     return plan_from_document(read_yaml(Path(path).expanduser()), str(path))
 
@@ -276,7 +292,7 @@ def load_plan(path: str | Path) -> Plan:
 def plan_from_document(document: object, where: str) -> Plan:
     """Return the test plan in a document; ``where`` is the name of the document in messages.
 
-    Raises AllanError with the position of an invalid entry.
+    Raises AllanError if an entry is invalid; the message states the position of the entry.
     """
     fields = Fields(document, where)
     fields.schema(SCHEMA)
@@ -284,19 +300,22 @@ def plan_from_document(document: object, where: str) -> Plan:
     axes: dict[str, dict[str, Limits]] = {}
     for axis in AXES:
         for name in (sensor_of(axis), axis):
-            stated = fields.optional_fields(name)
-            if stated is not None:
+            stated_limits = fields.optional_fields(name)
+            if stated_limits is not None:
                 units = AXIS_UNITS[sensor_of(axis)]
-                stated.only(*units)
-                known = {key: _limits(stated.fields(key), key, units[key]) for key in stated}
-                axes[axis] = axes.get(axis, {}) | known
+                stated_limits.only(*units)
+                axis_limits = {
+                    key: _limits(stated_limits.fields(key), key, units[key])
+                    for key in stated_limits
+                }
+                axes[axis] = axes.get(axis, {}) | axis_limits
     whole, up = {}, None
     for quantity, unit in UNIT_UNITS.items():
-        stated = fields.optional_fields(quantity)
-        if stated is not None:
-            whole[quantity] = _limits(stated, quantity, unit)
+        stated_limits = fields.optional_fields(quantity)
+        if stated_limits is not None:
+            whole[quantity] = _limits(stated_limits, quantity, unit)
             if quantity == 'orientation':
-                up = _direction(stated)
+                up = _direction(stated_limits)
     if not axes and not whole:
         raise AllanError(f'{where} has no limits: state some, such as "rate: {{lower: 99 ...}}"')
     for axis, limits in axes.items():
@@ -311,17 +330,17 @@ def plan_from_document(document: object, where: str) -> Plan:
 def _limits(fields: Fields, quantity: str, unit: str) -> Limits:
     """Return the limits in an object with the keys lower, upper and unit.
 
-    One of the limits may be missing. Raises AllanError if the object is invalid.
+    One of the two limits may be missing. Raises AllanError if the object is invalid.
     """
-    more = {'bias': ('at',), 'orientation': ('up',)}.get(quantity, ())
-    fields.only('lower', 'upper', 'unit', *more)
+    optional_keys = {'bias': ('at',), 'orientation': ('up',)}.get(quantity, ())
+    fields.only('lower', 'upper', 'unit', *optional_keys)
     name = fields.text('unit', '' if unit == '' else unit)
     scale = _scale(name, unit, fields.where)
     lower, upper = (fields.number(k) * scale if k in fields else None for k in ('lower', 'upper'))
     if lower is None and upper is None:
         raise AllanError(f'{fields.where} has no limit: state lower, upper or both')
     if quantity in SIGNED and (lower is None or upper is None):
-        raise AllanError(f'{fields.where}: a {quantity} has a sign: state lower and upper')
+        raise AllanError(f'{fields.where}: {quantity} can be negative: state lower and upper')
     if lower is not None and upper is not None and lower > upper:
         raise AllanError(f'{fields.where}: lower is above upper: exchange them')
     return Limits(lower, upper, name, scale, fields.number('at') if 'at' in fields else None)
@@ -332,44 +351,56 @@ def _scale(stated: str, unit: str, where: str) -> float:
     if unit in SCALES:
         if stated in SCALES[unit]:
             return SCALES[unit][stated]
-        fitting = ', '.join(repr(name) for name in SCALES[unit])
-        raise AllanError(f'{where}: unit {stated!r:.40} cannot be used here: use one of {fitting}')
+        possible_units = ', '.join(repr(name) for name in SCALES[unit])
+        raise AllanError(
+            f'{where}: unit {stated!r:.40} cannot be used here: use one of {possible_units}'
+        )
     with located(where):
         if not unit.endswith(PER_KELVIN):
             return to_si(1.0, stated, unit)
-        plain = stated.removesuffix(PER_KELVIN)
-        if plain == stated:
-            fitting = ', '.join(f'{n}{PER_KELVIN}' for n, u in UNITS.items() if u.si == unit[:-2])
-            raise AllanError(f'unit {stated!r:.40} cannot be used here: use one of {fitting}')
-        return to_si(1.0, plain, unit.removesuffix(PER_KELVIN))
+        numerator = stated.removesuffix(PER_KELVIN)
+        if numerator == stated:
+            possible_units = ', '.join(
+                f'{n}{PER_KELVIN}' for n, u in UNITS.items() if u.si == unit[:-2]
+            )
+            raise AllanError(
+                f'unit {stated!r:.40} cannot be used here: use one of {possible_units}'
+            )
+        return to_si(1.0, numerator, unit.removesuffix(PER_KELVIN))
 
 
 def _direction(fields: Fields) -> tuple[float, float, float]:
-    known = fields.numbers('up')
-    size = float(np.linalg.norm(known))
-    if known.shape != (3,) or not 0.0 < size < math.inf:
-        raise AllanError(f'{fields.where}.up is no direction: give three numbers, as in [0, 0, 1]')
-    x, y, z = (known / size).tolist()
+    vector = fields.numbers('up')
+    length = float(np.linalg.norm(vector))
+    if vector.shape != (3,) or not 0.0 < length < math.inf:
+        raise AllanError(
+            f'{fields.where}.up is not a direction: give three numbers, as in [0, 0, 1]'
+        )
+    x, y, z = (vector / length).tolist()
     return x, y, z
 
 
 def plan_text(sheet: Datasheet) -> str:
     """Return a test plan as YAML text that limits N and B to the figures of a datasheet.
 
-    Limits that a datasheet does not state, such as the sample rate, are given as comments.
+    The plan also has usual limits for gravity and for the share of used samples. Limits that the
+    user must state, such as the sample rate, are comments.
     """
     lines = [
-        f'# Test plan from the datasheet of {sheet.name}: typical figures plus {MARGIN:.0%}, and a',
-        '# third of the typical N, below which a unit of measurement or a filter is wrong.',
+        f'# Test plan from the datasheet of {sheet.name}.',
+        f'# Upper limits: typical figures plus {MARGIN:.0%}. Lower limit of N: a third of the',
+        '# typical N. A smaller N is due to a wrong unit of measurement or low-pass filter.',
         f'schema: {SCHEMA}',
         f'name: {sheet.name}',
     ]
     for sensor, where in SENSORS.items():
-        stated = [axis for axis in AXES[where] if axis in sheet.limits]
+        stated_axes = [axis for axis in AXES[where] if axis in sheet.limits]
         axes_are_equal = (
-            len({str(_values(sheet, axis)) for axis in stated}) == 1 and len(stated) == 3
+            len({str(_values(sheet, axis)) for axis in stated_axes}) == 1 and len(stated_axes) == 3
         )
-        for name, axis in [(sensor, stated[0])] if axes_are_equal else [(a, a) for a in stated]:
+        for name, axis in (
+            [(sensor, stated_axes[0])] if axes_are_equal else [(a, a) for a in stated_axes]
+        ):
             lines.append(f'{name}:')
             for term, limit in sheet.limits[axis].items():
                 unit = DATASHEET_UNITS[sensor][term]
@@ -382,16 +413,16 @@ def plan_text(sheet: Datasheet) -> str:
 
 TO_COMPLETE = (
     'gravity: {lower: 9.7, upper: 9.9, unit: m/s^2}',
-    'used: {lower: 95, unit: "%"}  # share of the samples',
-    '# State the following, too:',
+    'used: {lower: 95, unit: "%"}  # share of the samples that are used',
+    '# State these limits, too:',
     '# rate: {lower: 99, upper: 101, unit: Hz}',
     '# duration: {lower: 10, unit: min}',
-    '# orientation: {up: [0, 0, 1], upper: 2, unit: deg}  # up in the frame of the IMU',
+    '# orientation: {up: [0, 0, 1], upper: 2, unit: deg}  # upward direction in the IMU frame',
     '# temperature: {lower: 20, upper: 30, unit: degC}',
-    '# and for gyro, accel or an axis:',
+    '# and, under the key gyro, accel or an axis:',
     '#   K: {upper: 60, unit: deg/h^1.5}',
     '#   bias: {lower: -0.5, upper: 0.5, unit: deg/s, at: 25}',
-    '#   drift: {upper: 0.05, unit: deg/s}  # range of the means of 1/16 of the recording',
+    '#   drift: {upper: 0.05, unit: deg/s}  # largest minus smallest mean of 1/16 of the data',
     '#   temperature_drift: {lower: -0.01, upper: 0.01, unit: deg/s/K}',
     '#   bandwidth: {lower: 40, unit: Hz}',
 )

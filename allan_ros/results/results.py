@@ -31,7 +31,8 @@ SENSOR_FAULTS = ('no_noise', 'sensor_all_zero')
 """Ids of findings that indicate a broken sensor."""
 
 WRONG_UNITS = ('gyro_unit', 'gyro_unit_changed', 'accel_unit')
-"""Ids of findings about a wrong unit of measurement: comparisons do not judge the sensor then."""
+"""Ids of findings about a wrong unit of measurement. With such a finding, a comparison with limits
+says nothing about the sensor."""
 
 UNSUITABLE = ('not_noise', 'not_settled')
 """Ids of findings about data that do not show the noise of the sensor at rest."""
@@ -45,7 +46,7 @@ class Results:
     """The results of one analysis of one IMU.
 
     ``results['gyro_z']`` is the `AxisResult` of an axis, and iteration yields the names of the
-    axes. The text of the object is a summary.
+    axes. ``str(results)`` is a summary.
 
     Attributes
     ----------
@@ -55,9 +56,9 @@ class Results:
         Method of the fit: 'likelihood' or 'paper'.
     tau0, duration_s : float
         Sample period, and total time of all used samples, in s. If gyro and accelerometer have
-        different rates, these numbers are of the sensor with more samples.
+        different rates, these numbers describe the sensor with more samples.
     samples, segments : int
-        Number of used samples, and of segments without gaps or motion, of the same sensor.
+        Number of used samples, and number of segments without gaps or motion, of the same sensor.
     axes : mapping of axis name to AxisResult
         The measured axes: gyro_x, gyro_y, gyro_z, accel_x, accel_y, accel_z, if present.
     provenance : Provenance
@@ -67,16 +68,17 @@ class Results:
     datasheet : Datasheet or None
         The datasheet with which the coefficients are compared; None if there is none.
     baselines : mapping of name to Results
-        Earlier runs of this IMU with which the results are compared.
+        Results of earlier recordings of this IMU, with which these results are compared.
     margin : float
-        Fraction by which a coefficient may exceed a limit of the datasheet or an earlier run. A
-        coefficient exceeds a limit if its complete 95 % interval lies above limit * (1 + margin).
+        Fraction by which a coefficient may exceed a limit: the figure of the datasheet, or the
+        coefficient in an earlier result. A limit is exceeded if the complete 95 % interval of a
+        coefficient lies above limit * (1 + margin).
     motion : NoiseInMotion or None
         Errors in motion relative to the prediction from the noise at rest; None if the recordings
         have too few drives between two rests.
     recorded : RecordingSums or None
-        The sums to which the coefficients were fitted; None if they are not known, for example in
-        results that were read from a results.json alone.
+        The Allan sums to which the coefficients were fitted; None if the sums are unknown, for
+        example if only a results.json was read.
 
     Examples
     --------
@@ -137,18 +139,18 @@ class Results:
 
     @cached_property
     def level(self) -> Level:
-        """The overall verdict about the IMU; the first one that applies.
+        """The overall verdict about the IMU: the first of the following verdicts that applies.
 
         'failed' for a broken sensor; 'unknown' for too little data, a wrong unit of measurement, or
         a recording of motion or of a warm-up; 'failed' for an exceeded limit; 'unknown' for another
-        error or an undecided comparison; 'measured' without a datasheet or earlier run to compare
-        with; 'attention' for a warning; else 'healthy'.
+        error or an undecided comparison; 'measured' if there is neither a datasheet nor an earlier
+        result to compare with; 'attention' for a warning; else 'healthy'.
         """
-        found = {finding.id for finding in self.findings}
+        ids = {finding.id for finding in self.findings}
         severities = {finding.severity for finding in self.findings}
-        if found & {*SENSOR_FAULTS}:
+        if ids & {*SENSOR_FAULTS}:
             return 'failed'
-        if self.is_too_short or found & {*WRONG_UNITS, *UNSUITABLE}:
+        if self.is_too_short or ids & {*WRONG_UNITS, *UNSUITABLE}:
             return 'unknown'
         if worst_verdict(self.comparisons) == 'exceeds':
             return 'failed'
@@ -160,18 +162,18 @@ class Results:
 
     @property
     def is_decided(self) -> bool:
-        """Whether N is within all its limits; if N has no limit, whether all terms with limits are.
+        """Whether N is within all its limits or, if N has no limit, whether all compared terms are.
 
-        Other terms than N often need a longer recording.
+        If N has a limit, the other terms are ignored, because they often need a longer recording.
         """
         required = [c for c in self.comparisons if c.quantity == 'N'] or self.comparisons
         return all(c.verdict == 'within' for c in required)
 
     @property
     def time_to_record(self) -> tuple[float, tuple[str, ...]] | None:
-        """The recommended length of a recording in s and the terms that it resolves.
+        """The recommended length of a recording in s, and the terms that it is expected to resolve.
 
-        None if the present length suffices, or the method is not 'likelihood'.
+        None if the present recording is long enough, or the method is not 'likelihood'.
         """
         if self.method != 'likelihood':
             return None
@@ -191,17 +193,20 @@ class Results:
 
     @property
     def measured(self) -> Run:
-        """The coefficients and the curve of each axis, for comparing recordings."""
+        """The coefficients and the curve of each axis, with which recordings are compared."""
         return {name: AxisNoise(axis.fit.noise, axis.curve) for name, axis in self.axes.items()}
 
     @property
     def temperature_models(self) -> dict[str, dict[str, TemperatureModel]]:
-        """The models of the bias over temperature: sensor -> axis -> model; empty without any."""
-        found: dict[str, dict[str, TemperatureModel]] = {}
+        """The models of the bias over temperature: sensor -> axis -> model.
+
+        Axes without a model are absent.
+        """
+        models: dict[str, dict[str, TemperatureModel]] = {}
         for name, axis in self.axes.items():
             if axis.temperature is not None:
-                found.setdefault(sensor_of(name), {})[name] = axis.temperature
-        return found
+                models.setdefault(sensor_of(name), {})[name] = axis.temperature
+        return models
 
     @cached_property
     def datasheet_checks(self) -> tuple[Check, ...]:
@@ -210,28 +215,31 @@ class Results:
         The verdict is 'undecided' if the data at rest are shorter than `TOO_SHORT_S`.
         """
         sheet = self.datasheet
-        found = () if sheet is None else against_datasheet(self.noise, sheet, self.margin)
-        return self._undecided_if_short(found)
+        checks = () if sheet is None else against_datasheet(self.noise, sheet, self.margin)
+        return self._undecided_if_short(checks)
 
     @cached_property
     def comparisons(self) -> tuple[Check, ...]:
-        """The comparisons of the coefficients with the datasheet and with the earlier runs.
+        """The comparisons of the coefficients with the datasheet and with the earlier results.
 
-        Allan deviations are compared with the earlier runs, too. If a deviation of an axis exceeds
-        an earlier run although no coefficient of this axis does, the largest excess is included.
+        Allan deviations are compared with the earlier results, too. If an Allan deviation of an
+        axis exceeds the earlier one although no coefficient of this axis does, the comparison of
+        the Allan deviation with the largest excess is included.
         """
-        found: list[Check] = []
+        earlier_checks: list[Check] = []
         pairs = [(name, run.measured, self.measured) for name, run in self.baselines.items()]
         for name, checks in zip(self.baselines, differences(pairs)):
-            known = [c for d in checks if (c := d.as_limit(self.margin)) is not None]
-            found += [c for c in known if c.tau is None]
-            explained = {c.axis for c in found if c.reference == name and c.verdict == 'exceeds'}
-            excess: dict[str, Check] = {}
-            for c in sorted(known, key=lambda c: c.at_least):
-                if c.tau is not None and c.verdict == 'exceeds' and c.axis not in explained:
-                    excess[c.axis] = c
-            found += excess.values()
-        return *self.datasheet_checks, *self._undecided_if_short(found)
+            limit_checks = [c for d in checks if (c := d.as_limit(self.margin)) is not None]
+            earlier_checks += [c for c in limit_checks if c.tau is None]
+            explained_axes = {
+                c.axis for c in earlier_checks if c.reference == name and c.verdict == 'exceeds'
+            }
+            largest_excess: dict[str, Check] = {}
+            for c in sorted(limit_checks, key=lambda c: c.at_least):
+                if c.tau is not None and c.verdict == 'exceeds' and c.axis not in explained_axes:
+                    largest_excess[c.axis] = c
+            earlier_checks += largest_excess.values()
+        return *self.datasheet_checks, *self._undecided_if_short(earlier_checks)
 
     def _undecided_if_short(self, checks: Sequence[Check]) -> tuple[Check, ...]:
         is_short = self.duration_s < TOO_SHORT_S
@@ -249,14 +257,19 @@ class Results:
         return iter(self.axes)
 
     def against_datasheet(self: R, datasheet: Datasheet, margin: float) -> R:
-        """Return a copy that is compared with ``datasheet``, which replaces another datasheet.
+        """Return a copy of the results whose coefficients are compared with ``datasheet``.
 
-        A finding is added for each coefficient that exceeds its limit by more than the fraction
-        ``margin``, and for each N that is implausibly small.
+        Earlier findings about limits are removed. A finding is added for each coefficient that
+        exceeds its limit by more than the fraction ``margin``, and for each N that is implausibly
+        small.
         """
-        others = (f for f in self.findings if f.id not in ('exceeds_limit', 'below_typical'))
-        judged = replace(self, datasheet=datasheet, margin=margin)
-        checks = judged.datasheet_checks
-        found = [exceeds_limit(c, margin, (c.axis,)) for c in checks if c.verdict == 'exceeds']
-        quiet = [f for c in checks if (f := below_typical(c, (c.axis,))) is not None]
-        return replace(judged, findings=(*others, *found, *quiet))
+        other_findings = (
+            f for f in self.findings if f.id not in ('exceeds_limit', 'below_typical')
+        )
+        copy = replace(self, datasheet=datasheet, margin=margin)
+        checks = copy.datasheet_checks
+        excess_findings = [
+            exceeds_limit(c, margin, (c.axis,)) for c in checks if c.verdict == 'exceeds'
+        ]
+        small_findings = [f for c in checks if (f := below_typical(c, (c.axis,))) is not None]
+        return replace(copy, findings=(*other_findings, *excess_findings, *small_findings))

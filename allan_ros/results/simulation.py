@@ -5,16 +5,17 @@
 Specification
 -------------
 A specification of a simulated IMU is a YAML or JSON file. ``noise`` maps axes to coefficients. Each
-coefficient is a number in datasheet units, or an object with the keys value and unit. ``gyro`` and
-``accel`` apply to three axes, and a single axis takes precedence. ``faults`` has the fields of
-`Faults`, in SI:
+coefficient is a number in datasheet units, or an object with the keys value and unit. The keys
+``gyro`` and ``accel`` apply to all axes of the sensor; the key of one axis, such as ``gyro_z``,
+takes precedence. ``faults`` has the fields of `Faults`, in SI:
 
     noise:
       gyro: {N: 0.3, B: {value: 7, unit: deg/h}}
       gyro_z: {N: 0.4}
     faults: {drop: 0.01, motion: [[60, 2.5]], vibration_gyro: 0.001, vibration_frequency: 25}
 
-The truth file next to a simulated recording has the same format.
+The truth file next to a simulated recording has the same format, and additional keys for the
+duration, the sample rate and the seed.
 """
 
 from __future__ import annotations
@@ -54,33 +55,38 @@ def truth_path(recording: str | os.PathLike[str]) -> Path:
 def read_specification(path: str | os.PathLike[str]) -> tuple[Fields | None, Faults]:
     """Read a specification of a simulated IMU from a YAML or JSON file.
 
-    Returns the stated noise (None if the file states none) and the faults. Raises AllanError if the
-    file cannot be read, or with the position of an invalid entry.
+    Returns the stated noise (None if the file states no noise) and the faults. Raises AllanError if
+    the file cannot be read or an entry is invalid; the message states the position of the entry.
     """
     fields = Fields(read_yaml(Path(path)), str(path))
     if 'schema' in fields:
         fields.schema(TRUTH_SCHEMA)
     fields.only('noise', 'faults', 'schema', 'seconds', 'rate_hz', 'seed')
-    stated = fields.optional_fields('faults')
+    fault_fields = fields.optional_fields('faults')
     with located(f'{path}.faults'):
-        given = {} if stated is None else {name: stated.value(name) for name in stated}
-        faults = settings_from(Faults, given)
+        fault_values = (
+            {}
+            if fault_fields is None
+            else {name: fault_fields.value(name) for name in fault_fields}
+        )
+        faults = settings_from(Faults, fault_values)
     return fields.optional_fields('noise'), faults
 
 
 def read_noise(path: str | os.PathLike[str]) -> AxesNoise:
     """Read the noise of an IMU from a specification: axis -> noise model in SI.
 
-    Axes that are not named have no noise. Raises AllanError if the file is invalid.
+    Axes that the file does not name have no noise. Raises AllanError if the file is invalid.
     """
     stated, _ = read_specification(path)
     return with_noise(NO_NOISE, stated or Fields({}, str(path)))
 
 
 def with_noise(noise: AxesNoise, stated: Fields) -> AxesNoise:
-    """Return the noise of the six axes with the coefficients in ``stated`` replaced.
+    """Return the noise of the six axes, in which ``stated`` replaces coefficients of ``noise``.
 
-    ``noise`` maps each axis to a noise model in SI. Raises AllanError if a coefficient is invalid.
+    ``noise`` maps each axis to a noise model in SI. ``stated`` contains coefficients by sensor or
+    axis. Raises AllanError if a coefficient is invalid.
     """
     stated.only(*SI_UNITS, *AXES)
     return {
@@ -111,9 +117,10 @@ def stated_noise(
     sensor : str
         Name of a datasheet, whose N and B are used if there is no preset; '' for none.
     spec : Fields, optional
-        Noise of a specification, whose coefficients replace the ones of the preset or datasheet.
+        Noise in a specification; its coefficients replace coefficients of the preset or datasheet.
     changes : mapping, optional
-        Axis or sensor -> term -> coefficient in datasheet units. They replace all others.
+        Axis or sensor -> term -> coefficient in datasheet units. These coefficients replace
+        coefficients from all other sources.
 
     Raises
     ------
@@ -136,16 +143,16 @@ def stated_noise(
 
 
 def _terms(stated: Fields, sensor: str) -> dict[str, float]:
-    values: dict[str, float] = {}
+    coefficients: dict[str, float] = {}
     stated.only(*SI_UNITS[sensor])
     for term in stated:
         if isinstance(stated.value(term), dict):
-            values[term] = stated.fields(term).quantity(SI_UNITS[sensor][term])
+            coefficients[term] = stated.fields(term).quantity(SI_UNITS[sensor][term])
         else:
-            values[term] = from_datasheet(term, sensor, stated.number(term))
+            coefficients[term] = from_datasheet(term, sensor, stated.number(term))
     with located(stated.where):
-        Model.of(**values)
-    return values
+        Model.of(**coefficients)
+    return coefficients
 
 
 def write_truth(
@@ -177,13 +184,13 @@ def write_truth(
     AllanError
         When the file cannot be written.
     """
-    changed = {k: v for k, v in asdict(faults).items() if v != getattr(Faults(), k)}
+    changed_faults = {k: v for k, v in asdict(faults).items() if v != getattr(Faults(), k)}
     document: dict[str, Any] = {
         'schema': TRUTH_SCHEMA,
         'seconds': seconds,
         'rate_hz': rate,
         'seed': seed,
-        'faults': changed,
+        'faults': changed_faults,
         'noise': {
             axis: {
                 term: {'value': model.value(term), 'unit': SI_UNITS[sensor_of(axis)][term]}
@@ -249,19 +256,19 @@ def simulate(
     >>> import allan_ros as ar
     >>> ar.simulate(hours=0.01, rate=200, seed=3).samples.shape
     (7200, 6)
-    >>> one_noisy = ar.simulate(hours=0.01, gyro={'z': {'N': 5.0}})
+    >>> noisy_z = ar.simulate(hours=0.01, gyro={'z': {'N': 5.0}})
     """
     check_range(0.0, 1e6, 'h', hours=hours)
     expect(Real, rate=rate)
     expect(Integral, seed=seed)
     expect(str, preset=preset, sensor=sensor, frame_id=frame_id)
     changes = {**_noise_changes('gyro', gyro), **_noise_changes('accel', accel)}
-    terms = list(stated_noise('' if sensor else preset, sensor, changes=changes).values())
+    models = list(stated_noise('' if sensor else preset, sensor, changes=changes).values())
     batches = simulate_imu(
         hours * 3600.0,
         rate,
-        terms[:3],
-        terms[3:],
+        models[:3],
+        models[3:],
         seed=seed,
         faults=settings_from(Faults, faults),
         frame_id=frame_id,

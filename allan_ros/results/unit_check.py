@@ -27,7 +27,7 @@ class Decision(IntEnum):
 WORST_FIRST = (
     *(Decision.BUG, Decision.EXCEEDS, Decision.UNREADABLE, Decision.NOT_JUDGED, Decision.WITHIN),
 )
-"""Decisions in the order of severity. The decision about a batch is the first one that occurs."""
+"""Decisions, the most severe first. The decision about a batch of IMUs is the first that occurs."""
 
 DECISION_WORDS = {
     Decision.WITHIN: 'healthy',
@@ -36,7 +36,7 @@ DECISION_WORDS = {
     Decision.NOT_JUDGED: 'not judged',
     Decision.BUG: 'error',
 }
-"""Decision -> its text in the line about an IMU."""
+"""Decision -> text for it in the line that is printed for each IMU."""
 
 BROKEN = (*SENSOR_FAULTS, 'stuck', 'clipped', 'axis_absent', 'axes_equal')
 """Ids of findings that indicate a broken axis."""
@@ -48,8 +48,8 @@ ABOUT_THE_FORMAT = (
     *('unit_assumed', 'stamp_unit_assumed', 'stamps_unit', 'stamps_unusable'),
     *('covariance_ignored', 'sensor_elsewhere'),
 )
-"""Ids of warnings about the format of a recording. They say nothing about the IMU, and the limits
-of a plan or a datasheet reveal a wrong unit of measurement."""
+"""Ids of warnings about the format of a recording, which say nothing about the IMU. If a unit of
+measurement was assumed wrongly, the comparison with a plan or a datasheet reveals this."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,8 @@ class UnitCheck:
     Attributes
     ----------
     decision : Decision
-        WITHIN only if every limit is met and no finding makes the IMU or its data suspect.
+        WITHIN only if no limit is exceeded, the required comparisons are decided (`check_unit`),
+        and no finding makes the IMU or its data suspect.
     plan : Plan or None
         The test plan; None if there is none.
     checks : tuple of Check
@@ -68,7 +69,7 @@ class UnitCheck:
         Names of the quantities that the plan does not limit; empty without a plan.
     suspect : tuple of Finding
         Findings because of which the IMU does not pass: first the findings about a broken axis,
-        then the others, by their effect.
+        then the other findings, the largest effect on the user first.
 
     Examples
     --------
@@ -93,30 +94,30 @@ class UnitCheck:
 
 
 def check_unit(results: Results, plan: Plan | None = None) -> UnitCheck:
-    """Decide about an IMU by a plan, and by the datasheet and earlier runs of the results.
+    """Decide whether an IMU passes a plan, its datasheet and the comparison with earlier results.
 
     The decision is EXCEEDS if a limit is exceeded or an axis is broken. It is NOT_JUDGED if a
     finding makes the IMU or its data suspect, if a comparison with a limit is undecided, or if
-    nothing was compared. Of the limits of a datasheet or an earlier run, only N must be decided if
-    N has a limit, because B and K often need a longer recording.
+    nothing was compared. Undecided comparisons of B and K with a datasheet or earlier results are
+    ignored if N is compared, because B and K often need a longer recording.
     """
-    found = by_consequence(results.findings)
-    broken = [f for f in found if f.id in BROKEN]
-    severe = [f for f in found if f.severity != 'info' or f.id in SUSPECT_NOTES]
-    suspect = [f for f in severe if f.id not in ABOUT_THE_FORMAT]
-    causes = tuple(dict.fromkeys([*broken, *suspect]))
+    findings = by_consequence(results.findings)
+    broken_findings = [f for f in findings if f.id in BROKEN]
+    severe_findings = [f for f in findings if f.severity != 'info' or f.id in SUSPECT_NOTES]
+    suspect_findings = [f for f in severe_findings if f.id not in ABOUT_THE_FORMAT]
+    causes = tuple(dict.fromkeys([*broken_findings, *suspect_findings]))
     checks = plan.checks(results) if plan else ()
     unchecked = tuple(plan.unchecked(results)) if plan else ()
-    verdicts = {check.verdict for check in checks}
-    # comparisons with a datasheet mean nothing with too few data or a wrong unit of measurement
+    plan_verdicts = {check.verdict for check in checks}
+    # with too few data or a wrong unit of measurement, a comparison with a datasheet means nothing
     is_comparable = not results.is_too_short and not any(
-        f.id in (*WRONG_UNITS, *UNSUITABLE) for f in found
+        f.id in (*WRONG_UNITS, *UNSUITABLE) for f in findings
     )
-    compared = {c.verdict for c in results.comparisons} if is_comparable else set()
+    reference_verdicts = {c.verdict for c in results.comparisons} if is_comparable else set()
     is_decided = results.is_decided and bool(checks or results.comparisons)
-    if broken or 'exceeds' in verdicts | compared:
+    if broken_findings or 'exceeds' in plan_verdicts | reference_verdicts:
         decision = Decision.EXCEEDS
-    elif causes or not is_comparable or not is_decided or 'undecided' in verdicts:
+    elif causes or not is_comparable or not is_decided or 'undecided' in plan_verdicts:
         decision = Decision.NOT_JUDGED
     else:
         decision = Decision.WITHIN

@@ -28,7 +28,7 @@ SUMMARY, INDEX = 'summary.csv', 'index.html'
 """Files of the summary, next to the folders of the IMUs."""
 
 SUMMARY_TERMS = ('N', 'B', 'K')
-"""Coefficients of each axis in the summary, also without limits."""
+"""Coefficients that the summary states for each axis, even if the plan has no limits for them."""
 
 
 @dataclass(frozen=True)
@@ -44,9 +44,9 @@ class UnitRow:
     reason : str
         Reason for the decision, in one line.
     results : Results or None
-        None if the recording could not be read.
+        Results of the recording; None if the recording could not be read.
     check : UnitCheck or None
-        None if the recording could not be read.
+        Decision about the IMU; None if the recording could not be read.
     report : str
         Path of the report, relative to the summary; '' if there is none.
     exit_code : int
@@ -68,13 +68,13 @@ def summary_csv(rows: Sequence[UnitRow], units: str) -> str:
 
     Each quantity has columns for its value, its interval and its limits, such as
     ``gyro_x N [deg/sqrt(h)]``, ``gyro_x N upper limit [deg/sqrt(h)]``. Columns that are empty for
-    all IMUs are omitted. ``units`` is 'deg/h' or 'SI'. Quantities with limits have the units of
-    measurement of the plan.
+    all IMUs are omitted. ``units`` is 'deg/h' or 'SI'. Quantities with limits are in the units of
+    measurement that the plan states.
     """
-    found = [_record(row, units) for row in rows]
-    names = dict.fromkeys(name for record in found for name in record)
-    known = [n for n in names if any(record.get(n) not in (None, '') for record in found)]
-    return csv_text([{n: record.get(n) for n in known} for record in found], known)
+    records = [_record(row, units) for row in rows]
+    names = dict.fromkeys(name for record in records for name in record)
+    used_names = [n for n in names if any(record.get(n) not in (None, '') for record in records)]
+    return csv_text([{n: record.get(n) for n in used_names} for record in records], used_names)
 
 
 def _record(row: UnitRow, units: str) -> Record:
@@ -89,7 +89,7 @@ def _record(row: UnitRow, units: str) -> Record:
         return record
     record['hours'] = row.results.duration_s / 3600.0
     record['rate [Hz]'] = row.results.rate_hz
-    stated = {
+    limited = {
         (check.axis, check.quantity): (check.measured, row.check.plan.limits_of(check))
         for check in row.check.checks
         if row.check.plan is not None
@@ -97,18 +97,20 @@ def _record(row: UnitRow, units: str) -> Record:
     for axis, result in row.results.axes.items():
         for term in SUMMARY_TERMS:
             unit = shown_unit(axis, term, units)
-            free = Limits(None, None, unit.name, 1.0 / unit.factor)
-            known = stated.pop((axis, term), (result.fit.noise[term].magnitude, free))
-            record |= _columns(f'{axis} {term}', *known)
-        for quantity in [quantity for of, quantity in stated if of == axis]:
-            record |= _columns(f'{axis} {quantity}', *stated.pop((axis, quantity)))
-    for (axis, quantity), known in stated.items():
-        record |= _columns(f'{axis} {quantity}'.strip(), *known)
+            no_limits = Limits(None, None, unit.name, 1.0 / unit.factor)
+            value_and_limits = limited.pop(
+                (axis, term), (result.fit.noise[term].magnitude, no_limits)
+            )
+            record |= _columns(f'{axis} {term}', *value_and_limits)
+        for quantity in [quantity for key, quantity in limited if key == axis]:
+            record |= _columns(f'{axis} {quantity}', *limited.pop((axis, quantity)))
+    for (axis, quantity), value_and_limits in limited.items():
+        record |= _columns(f'{axis} {quantity}'.strip(), *value_and_limits)
     return record
 
 
 def _columns(name: str, measured: Estimate, limits: Limits) -> Iterator[tuple[str, float | None]]:
-    """Yield name -> number of the columns of a quantity, in the unit of its limits."""
+    """Yield name and number of each column of a quantity, in the unit of the limits."""
     unit = f' [{limits.unit}]' if limits.unit else ''
     value = measured.value if measured.resolved else None
     low, high = (measured.resolved and measured.ci95) or (None, measured.upper95)
@@ -121,14 +123,17 @@ def _columns(name: str, measured: Estimate, limits: Limits) -> Iterator[tuple[st
         (' lower limit', limits.lower),
         (' upper limit', limits.upper),
     ):
-        known = number is not None and math.isfinite(number)
-        yield f'{name}{end}{unit}', number / limits.scale if known and number is not None else None
+        is_finite = number is not None and math.isfinite(number)
+        yield (
+            f'{name}{end}{unit}',
+            number / limits.scale if is_finite and number is not None else None,
+        )
 
 
 # --- the page -------------------------------------------------------------------------------------
 
 WIDTH, HEIGHT = 110, 44
-"""Size of a small curve in pixels."""
+"""Size of the drawing of a sensor in pixels."""
 
 COLORS = ('#c0504d', '#4f9a57', '#4f72c0')
 """Colors of the axes x, y and z."""
@@ -185,9 +190,9 @@ CLASSES = {
 def index_html(rows: Sequence[UnitRow], plan: str = '') -> str:
     """Return a page with a sortable table of the IMUs, small curves, and links to the reports.
 
-    The curves are the Allan deviations of the axes of a sensor over the averaging time. Both scales
-    are logarithmic, and equal for all IMUs. A band shows the limits of N. ``plan`` is the name of
-    the plan, or '' without a plan.
+    The curves show the Allan deviation of the axes of a sensor over the averaging time, with
+    logarithmic scales that are equal for all IMUs. A band shows the limits of N. ``plan`` is the
+    name of the plan; '' without a plan.
     """
     sensors = [s for s in SENSORS if any(_curves(row, s) for row in rows)]
     columns = [Heading('verdict'), Heading('serial'), Heading('reason'), Heading('h at rest')]
@@ -203,15 +208,15 @@ def index_html(rows: Sequence[UnitRow], plan: str = '') -> str:
             Cell(hours),
         ]
         for sensor in sensors:
-            place = f'\ue000{i} {sensor}\ue000'
-            drawings[place] = _drawing(row, sensor, frames[sensor])
-            cells.append(Cell(place))
+            placeholder = f'\ue000{i} {sensor}\ue000'
+            drawings[placeholder] = _drawing(row, sensor, frames[sensor])
+            cells.append(Cell(placeholder))
         link = Cell(row.name, link=quote(row.report))
         table_rows.append((Heading(str(i + 1)), [link, *cells]))
     table = Table(Heading('no.'), [Heading('unit'), *columns], table_rows)
     body = html_table('units', lambda units: table)
-    for place, drawing in drawings.items():
-        body = body.replace(place, drawing)
+    for placeholder, drawing in drawings.items():
+        body = body.replace(placeholder, drawing)
     words = [row.word for row in rows]
     counts = ', '.join(f'{words.count(word)} {word}' for word in dict.fromkeys(words))
     against = f' against the plan {escape(plan)}' if plan else ''

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Coefficients as tables: one table for each sensor for readers, and one list for programs."""
+"""Coefficients as tables for readers, and as a list for programs."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ WALKS = {'gyro': ('angle', 'rate'), 'accel': ('velocity', 'acceleration')}
 
 
 def coefficient_cell(coefficient: Estimate, unit: ShownUnit) -> Cell:
-    """Return a cell with the value or the limit of a coefficient; the detail is the interval."""
+    """Return a cell with the value or the limit of a coefficient, and its interval as detail."""
     value, *_ = known_numbers(coefficient, unit)
     text, interval = value_text(coefficient, unit), interval_text(coefficient, unit)
     return Cell(text, interval, value, coefficient.status)
@@ -31,33 +31,35 @@ def coefficient_cell(coefficient: Estimate, unit: ShownUnit) -> Cell:
 def coefficient_table(
     axes: Coefficients, units: str, terms: Sequence[str] = TERMS, prefixes: bool = False
 ) -> Table:
-    """Return the coefficients of one sensor: a row for each term, a column for each axis.
+    """Return coefficients of one sensor as a table: a row for each term, a column for each axis.
 
     Parameters
     ----------
     axes : mapping of axis to coefficients
-        The axes of one sensor.
+        The coefficients of the axes of one sensor.
     units : 'deg/h' or 'SI'
+        Units of measurement of the values.
     terms : sequence of str
+        The terms that have a row.
     prefixes : bool
         Whether the unit of a row gets an SI prefix that suits the largest value of the row.
     """
     sensor = sensor_of(next(iter(axes)))
     rows = []
     for term in terms:
-        known = [noise[term] for noise in axes.values()]
+        coefficients = [noise[term] for noise in axes.values()]
         unit = shown_unit(sensor, term, units)
         if prefixes:
-            unit = prefixed(unit, largest(known))
+            unit = prefixed(unit, largest(coefficients))
         heading = Heading(term, unit.name, term_name(sensor, term))
-        rows.append((heading, [coefficient_cell(one, unit) for one in known]))
+        rows.append((heading, [coefficient_cell(one, unit) for one in coefficients]))
     return Table(Heading(sensor), axis_headings(axes), rows)
 
 
 def axis_table(axes: Coefficients, units: str, terms: Sequence[str] = TERMS) -> Table:
-    """Return the coefficients of all axes with units: a row for each axis, a column for each term.
+    """Return coefficients with units as a table: a row for each axis, a column for each term.
 
-    The arguments are the same as in `coefficient_table`.
+    The arguments are explained in `coefficient_table`; axes of both sensors are permitted.
     """
     rows = []
     for axis, noise in axes.items():
@@ -88,13 +90,13 @@ def term_name(sensor: str, term: str) -> str:
 
 
 def largest(known: Sequence[Estimate]) -> float:
-    """Return the largest value or limit of several coefficients in SI; 0 if none is known."""
+    """Return the largest absolute value or limit of coefficients in SI; 0 if none is known."""
     sizes = [c.value if c.resolved else c.upper95 for c in known]
     return max((abs(s) for s in sizes if s is not None and math.isfinite(s)), default=0.0)
 
 
 NUMBERS = ('value', 'ci95_low', 'ci95_high', 'upper95')
-"""Columns of the numbers of a coefficient, in the order of `known_numbers`."""
+"""Names of the columns with the numbers of a coefficient, in the order of `known_numbers`."""
 
 
 def coefficient_list(axes: Coefficients, units: str) -> Table:

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Comparisons as tables: with limits, with an earlier run, of several recordings or IMUs."""
+"""Tables that compare coefficients with limits, between recordings, or between IMUs."""
 
 from __future__ import annotations
 
@@ -32,17 +32,18 @@ from .table import Cell, Heading, Table
 def limit_table(
     axes: Coefficients, comparisons: Sequence[Check], units: str, stated: Mapping[str, str]
 ) -> Table:
-    """Return the coefficients of one sensor, each with its share of the limit and the verdict.
+    """Return a table of the coefficients of one sensor, with shares of the limits and the verdicts.
 
-    ``stated`` maps a term to its limits as text. A term without a limit has no row.
+    ``stated`` maps each term to the text of the limits of this term. A term without a limit has no
+    row.
     """
 
     def share_of_limit(check: Check) -> str:
         coefficient = axes[check.axis][check.quantity]
-        resolved = coefficient.resolved
-        size = coefficient.magnitude.value if resolved else coefficient.upper95
+        is_resolved = coefficient.resolved
+        size = coefficient.magnitude.value if is_resolved else coefficient.upper95
         share = f'{100.0 * size / check.limit:.0f}{NO_BREAK}% of the limit' if size else ''
-        return share if resolved or not share else f'< {share}'
+        return share if is_resolved or not share else f'< {share}'
 
     notes = {term: f'stated {text}' for term, text in stated.items()}
     return _checks_table(axes, comparisons, units, notes, share_of_limit)
@@ -51,14 +52,17 @@ def limit_table(
 def baseline_table(
     axes: Coefficients, comparisons: Sequence[Check], units: str, before: Results
 ) -> Table:
-    """Return the coefficients of one sensor, each with its value in ``before`` and the verdict."""
+    """Return a table of the coefficients of one sensor, with their former values and the verdicts.
 
-    def former(check: Check) -> str:
+    ``before`` contains the former values.
+    """
+
+    def former_value(check: Check) -> str:
         unit = shown_unit(check.axis, check.quantity, units)
         cell = coefficient_cell(before.axes[check.axis].fit.noise[check.quantity], unit)
         return f'before: {cell.text.replace(" ", NO_BREAK)}'
 
-    return _checks_table(axes, comparisons, units, {}, former)
+    return _checks_table(axes, comparisons, units, {}, former_value)
 
 
 def _checks_table(
@@ -68,9 +72,9 @@ def _checks_table(
     notes: Mapping[str, str],
     detail: Callable[[Check], str],
 ) -> Table:
-    """Return the coefficients that are compared; ``detail`` returns the detail of a cell.
+    """Return a table of the coefficients that are compared; ``detail`` makes the detail of a cell.
 
-    ``notes`` maps terms to explanations that replace the names in the headings.
+    ``notes`` maps terms to explanations, which replace the names of the terms in the headings.
     """
     sensor = sensor_of(next(iter(axes)))
     rows = []
@@ -94,47 +98,52 @@ def _checks_table(
 
 
 def runs_table(comparison: RunComparison, axes: Sequence[str], units: str) -> Table:
-    """Return the coefficients of several recordings for the axes of one sensor.
+    """Return a table of the coefficients of several recordings for the axes of one sensor.
 
-    Each term has a row for each recording, and rows with the ratios to the first recording. Terms
-    that no recording measures are omitted. The last rows count the averaging times at which the
-    Allan deviation differs from the first recording.
+    Each term has a row for each recording, and a row for each further recording with the ratios to
+    the first recording. Terms that no recording measures are omitted. The last rows count the
+    averaging times at which the Allan deviation differs from the deviation of the first recording.
     """
     sensor = sensor_of(axes[0])
     rows: list[tuple[Heading, list[Cell]]] = []
     for term in TERMS:
-        known = {run: _of_axes(each, axes, term) for run, each in comparison.runs.items()}
-        size = largest([c for of_run in known.values() for c in of_run])
+        coefficients = {run: _of_axes(each, axes, term) for run, each in comparison.runs.items()}
+        size = largest([c for of_axes in coefficients.values() for c in of_axes])
         unit = prefixed(shown_unit(sensor, term, units), size)
-        cells = {run: [coefficient_cell(c, unit) for c in of_run] for run, of_run in known.items()}
-        if all(cell.text == NOTHING_KNOWN for of_run in cells.values() for cell in of_run):
+        cells = {
+            run: [coefficient_cell(c, unit) for c in of_axes]
+            for run, of_axes in coefficients.items()
+        }
+        if all(cell.text == NOTHING_KNOWN for of_axes in cells.values() for cell in of_axes):
             continue
-        for i, (run, of_run) in enumerate(cells.items()):
+        for i, (run, of_axes) in enumerate(cells.items()):
             heading = Heading('') if i else Heading(term, unit.name)
-            rows.append((heading, [Cell(run), *of_run]))
+            rows.append((heading, [Cell(run), *of_axes]))
         for run, checks in comparison.differences.items():
-            of_axis = {d.axis: d for d in checks if d.quantity == term}
-            ratios = [of_axis.get(axis) for axis in axes]
-            texts = [f'{ratio_text(d)} {verdict_text(d)}'.strip() if d else '' for d in ratios]
+            checks_of_axes = {d.axis: d for d in checks if d.quantity == term}
+            axis_checks = [checks_of_axes.get(axis) for axis in axes]
+            texts = [f'{ratio_text(d)} {verdict_text(d)}'.strip() if d else '' for d in axis_checks]
             rows.append((Heading(''), [Cell(f'{run} ratio'), *map(Cell, texts)]))
     for run, checks in comparison.differences.items():
         counts = [Cell(run)]
         for axis in axes:
             tested = [d for d in checks if d.axis == axis and d.tau is not None]
-            differ = len(significant_of(tested))
-            counts.append(Cell(f'{differ} of {len(tested)} differ' if tested else ''))
+            n_different = len(significant_of(tested))
+            counts.append(Cell(f'{n_different} of {len(tested)} differ' if tested else ''))
         rows.append((Heading('deviation'), counts))
     runs = Heading('', repeats=True)
     return Table(Heading(sensor), [runs, *(Heading(axis[-1]) for axis in axes)], rows)
 
 
 def _of_axes(results: Results, axes: Sequence[str], term: str) -> list[Estimate]:
-    known = results.axes
-    return [known[axis].fit.noise[term] if axis in known else UNKNOWN for axis in axes]
+    axis_results = results.axes
+    return [
+        axis_results[axis].fit.noise[term] if axis in axis_results else UNKNOWN for axis in axes
+    ]
 
 
 def stated_limits(texts: Mapping[str, Sequence[str]]) -> dict[str, str]:
-    """Return term -> its different limits as one text, such as '0.3 °/√h / 0.4 °/√h'."""
+    """Return term -> all different limits of the term as text, such as '0.3 °/√h / 0.4 °/√h'."""
     return {
         term: ' / '.join(dict.fromkeys(pretty_unit(text) for text in each)).replace(' ', NO_BREAK)
         for term, each in texts.items()
@@ -145,13 +154,13 @@ SHOWN_TAU_S = (0.01, 0.1, 1.0, 10.0, 100.0)
 """Averaging times in s at which a ratio or a coherence is shown."""
 
 NEAR = 1.5
-"""Largest ratio between a measured averaging time and the rounded one in the heading."""
+"""Largest factor between a measured averaging time and the rounded time in the heading."""
 
 
 def inflation_table(inflation: Inflation) -> Table:
-    """Return N and K with motors on, in SI, for a state estimator: a row for each axis.
+    """Return a table of N and K in SI for a state estimator with motors on: a row for each axis.
 
-    The columns beside N and K have the ratios to N and K with motors off.
+    The column after each coefficient contains the ratio to the coefficient with motors off.
     """
     rows = []
     for axis, terms in inflation.axes.items():
@@ -166,21 +175,24 @@ def inflation_table(inflation: Inflation) -> Table:
 
 
 def deviation_ratio_table(inflation: Inflation) -> Table:
-    """Return the ratios of Allan deviations with motors on and off: a row for each axis."""
+    """Return a table of the ratios of Allan deviations with motors on and off.
+
+    There is a row for each axis and a column for each averaging time.
+    """
     ratios = {axis: inflation.ratios(axis) for axis in inflation.axes}
     cells = {
         tau: [_ratio_cell(_nearest(checks, tau)) for checks in ratios.values()]
         for tau in SHOWN_TAU_S
     }
-    shown = [tau for tau, column in cells.items() if any(cell.text for cell in column)]
-    rows = [(Heading(axis), [cells[tau][i] for tau in shown]) for i, axis in enumerate(ratios)]
-    return Table(Heading(''), [Heading(f'{tau:g} s') for tau in shown], rows)
+    shown_taus = [tau for tau, column in cells.items() if any(cell.text for cell in column)]
+    rows = [(Heading(axis), [cells[tau][i] for tau in shown_taus]) for i, axis in enumerate(ratios)]
+    return Table(Heading(''), [Heading(f'{tau:g} s') for tau in shown_taus], rows)
 
 
 def _nearest(checks: Sequence[Check], tau: float) -> Check | None:
-    """Return the ratio whose averaging time is closest to ``tau``; None if none is near."""
-    near = [c for c in checks if c.tau is not None and tau / NEAR < c.tau < NEAR * tau]
-    return min(near, key=lambda c: abs((c.tau or 0.0) - tau), default=None)
+    """Return the check with the averaging time closest to ``tau``; None if `NEAR` excludes all."""
+    candidates = [c for c in checks if c.tau is not None and tau / NEAR < c.tau < NEAR * tau]
+    return min(candidates, key=lambda c: abs((c.tau or 0.0) - tau), default=None)
 
 
 def _ratio_cell(check: Check | None) -> Cell:
@@ -196,27 +208,27 @@ def _share_cell(value: float, low: float, high: float) -> Cell:
 
 
 def common_table(common: CommonResult, units: str = 'deg/h') -> Table:
-    """Return N as measured, N without common noise, and the coherence of the IMUs.
+    """Return a table of N as measured, N without common noise, and the coherence of the IMUs.
 
-    There is a row for each axis and IMU, or for each two axes of one IMU.
+    There is a row for each axis and IMU. For a single IMU, there is a row for each pair of axes.
     """
     times = SHOWN_TAU_S[1:]
     cells = {tau: [_coherence_cell(row, tau) for row in common.rows] for tau in times}
-    shown = [tau for tau, column in cells.items() if any(cell.text for cell in column)]
+    shown_taus = [tau for tau, column in cells.items() if any(cell.text for cell in column)]
     has_noise = any(row.measured or row.own for row in common.rows)
     has_gains = any(row.gain != 1.0 for row in common.rows)
     rows = []
     for i, row in enumerate(common.rows):
         unit, noise = shown_unit(row.axis, 'N', units), []
-        for known in (row.measured, row.own) if has_noise else ():
-            noise.append(Cell() if known is None else coefficient_cell(known, unit))
+        for estimate in (row.measured, row.own) if has_noise else ():
+            noise.append(Cell() if estimate is None else coefficient_cell(estimate, unit))
         if has_gains:
             noise.append(Cell(f'{row.gain:.3f}', value=row.gain))
         heading = Heading(row.axis, unit.name if has_noise else '')
-        rows.append((heading, [Cell(row.label), *noise, *(cells[t][i] for t in shown)]))
-    own = 'own N' if len({row.label for row in common.rows}) > 2 else 'own N, mean of both'
-    numbers = [*(('N', own) if has_noise else ()), *(('factor',) if has_gains else ())]
-    names = ['IMU', *numbers, *(f'at {t:g} s' for t in shown)]
+        rows.append((heading, [Cell(row.label), *noise, *(cells[t][i] for t in shown_taus)]))
+    own_heading = 'own N' if len({row.label for row in common.rows}) > 2 else 'own N, mean of both'
+    numbers = [*(('N', own_heading) if has_noise else ()), *(('factor',) if has_gains else ())]
+    names = ['IMU', *numbers, *(f'at {t:g} s' for t in shown_taus)]
     return Table(
         Heading('axis'),
         [Heading(name, repeats=name == 'IMU') for name in names],
@@ -228,8 +240,8 @@ def common_table(common: CommonResult, units: str = 'deg/h') -> Table:
 
 def _coherence_cell(row: CommonNoise, tau: float) -> Cell:
     times, *numbers = row.coherence
-    distance = np.abs(np.log(times / tau))
-    at = int(np.argmin(distance))
-    if distance[at] > np.log(NEAR):
+    log_ratios = np.abs(np.log(times / tau))
+    nearest = int(np.argmin(log_ratios))
+    if log_ratios[nearest] > np.log(NEAR):
         return Cell()
-    return _share_cell(*(float(number[at]) for number in numbers))
+    return _share_cell(*(float(number[nearest]) for number in numbers))

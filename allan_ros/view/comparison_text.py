@@ -22,15 +22,15 @@ def ratio_text(difference: Check) -> str:
         return ''
     low, high = difference.ratio.ci95
     if difference.ratio.value is not None:
-        ends = '..'.join(significant(end, RATIO_DIGITS) for end in (low, high))
-        return f'{significant(difference.ratio.value, RATIO_DIGITS)} ({ends})'
+        interval = '..'.join(significant(end, RATIO_DIGITS) for end in (low, high))
+        return f'{significant(difference.ratio.value, RATIO_DIGITS)} ({interval})'
     if math.isinf(high):
         return f'> {significant(low, RATIO_DIGITS)}'
     return f'< {significant(high, RATIO_DIGITS)}'
 
 
 def verdict_text(difference: Check) -> str:
-    """Return 'alike', 'higher' or 'lower' for the second recording, or 'not comparable'."""
+    """Return whether the second recording is 'alike', 'higher' or 'lower', or 'not comparable'."""
     return 'not comparable' if difference.verdict == 'undecided' else difference.verdict
 
 
@@ -43,41 +43,45 @@ def quantity_text(difference: Check) -> str:
 
 
 def _sentence(comparison: RunComparison, label: str, checks: Sequence[Check]) -> str:
-    first, found = comparison.first, significant_of(checks)
-    if not found:
+    first_label, differing = comparison.first, significant_of(checks)
+    if not differing:
         terms = sum(d.tau is None and d.verdict == 'alike' for d in checks)
         deviations = sum(d.tau is not None and d.verdict == 'alike' for d in checks)
         if not terms + deviations:
-            return f'{label} and {first} have nothing that can be compared'
+            return f'{label} and {first_label} have no quantity that can be compared'
         return (
-            f'{label} and {first} do not differ significantly in {terms} coefficients '
+            f'{label} and {first_label} do not differ significantly in {terms} coefficients '
             f'and {deviations} deviations '
             f'({100.0 * comparison.family_error:g} % false alarms overall)'
         )
-    # Coefficients take precedence, and a ratio of two measured values comes before a bound.
-    named = [d for d in found if d.tau is None] or found
-    largest = max(named, key=lambda d: (d.ratio.value is not None, _size(d)))
+    # Coefficients take precedence over deviations, and ratios with a value over bounds on a ratio.
+    candidates = [d for d in differing if d.tau is None] or differing
+    largest_ratio = max(candidates, key=lambda d: (d.ratio.value is not None, _size(d)))
     return (
-        f'{label} differs from {first} in {len(found)} of {len(checks)} comparisons, most in '
-        f'{quantity_text(largest)}: {ratio_text(largest)} times'
+        f'{label} differs from {first_label} in {len(differing)} of {len(checks)} comparisons, '
+        f'most in {quantity_text(largest_ratio)}: {ratio_text(largest_ratio)} times'
     )
 
 
 def _equivalence_sentence(comparison: RunComparison, label: str, checks: Sequence[Check]) -> str:
-    found: dict[str, dict[str, list[str]]] = {'same': {}, 'different': {}, 'undecided': {}}
+    terms_by_result: dict[str, dict[str, list[str]]] = {
+        'same': {},
+        'different': {},
+        'undecided': {},
+    }
     for d in checks:
         if d.tau is None and d.p is not None:
-            terms = found[d.equivalence(comparison.within)]
+            terms = terms_by_result[d.equivalence(comparison.within)]
             terms.setdefault(d.quantity, []).append(d.axis.replace('_', ' '))
     texts = (
         '; '.join(f'{term} of {", ".join(axes)}' for term, axes in terms.items())
-        for terms in found.values()
+        for terms in terms_by_result.values()
     )
-    same, different, undecided = (text or 'no term' for text in texts)
+    same_terms, different_terms, undecided_terms = (text or 'no term' for text in texts)
     return (
-        f'{label} is the same as {comparison.first} to {100.0 * comparison.within:g} % in {same}; '
-        f'it differs by more in {different}; undecided, because the intervals are too wide: '
-        f'{undecided}'
+        f'{label} is the same as {comparison.first} to {100.0 * comparison.within:g} % in '
+        f'{same_terms}; it differs by more in {different_terms}; undecided, because the intervals '
+        f'are too wide: {undecided_terms}'
     )
 
 
@@ -89,22 +93,24 @@ def _size(difference: Check) -> float:
 
 def _datasheet_sentence(label: str, results: Results) -> str:
     name, checks = results.datasheet.name if results.datasheet else '', results.datasheet_checks
-    beyond = [f'{c.axis.replace("_", " ")} {c.quantity}' for c in checks if c.verdict == 'exceeds']
-    if beyond:
-        return f'{label} exceeds the datasheet of {name} in {", ".join(beyond)}'
-    unsettled = sum(c.verdict == 'undecided' for c in checks)
-    if unsettled == len(checks):
+    exceeded = [
+        f'{c.axis.replace("_", " ")} {c.quantity}' for c in checks if c.verdict == 'exceeds'
+    ]
+    if exceeded:
+        return f'{label} exceeds the datasheet of {name} in {", ".join(exceeded)}'
+    n_undecided = sum(c.verdict == 'undecided' for c in checks)
+    if n_undecided == len(checks):
         return f'{label} cannot be judged by the datasheet of {name}'
-    note = f'; {unsettled} of {len(checks)} are undecided' if unsettled else ''
+    note = f'; {n_undecided} of {len(checks)} are undecided' if n_undecided else ''
     return f'{label} is within the datasheet of {name}{note}'
 
 
 def sentences(comparison: RunComparison) -> Iterator[str]:
     """Yield the results of a comparison as sentences.
 
-    There is a sentence for each recording but the first, which compares the two, and for each
-    recording with a datasheet. With ``comparison.within``, there are also sentences on the tests of
-    equivalence with the first recording.
+    One sentence for each further recording compares it with the first recording, and one sentence
+    judges each recording with a datasheet. If ``comparison.within`` is set, further sentences state
+    the results of the tests of equivalence with the first recording.
     """
     for each in comparison.differences.items():
         yield _sentence(comparison, *each)

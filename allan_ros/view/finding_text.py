@@ -20,16 +20,16 @@ from ..core.imu import shown_unit
 from ..core.number_text import duration_text, prefixed, significant
 
 FIELD = re.compile(r'\{(\w+)(?::([^{}]*))?\}')
-"""A template field ``{name}`` or ``{name:format}``. The format is a format of Python, ``duration``
-for a time in s, one of `QUANTITIES` with the number of digits (3 by default), or
+"""A template field ``{name}`` or ``{name:format}``. The format is a format specification of Python,
+``duration`` for a time in s, one of `QUANTITIES` with the number of digits (3 by default), or
 ``singular|plural``. The singular is used if the value is 1."""
 
 OPTIONAL = re.compile(r'\[\[(.*?)\]\]')
-"""A part of a template that is omitted if one of its values is missing."""
+"""A part of a template in double brackets, which is omitted if one of its values is missing."""
 
 
 class Words(NamedTuple):
-    """The templates of one finding, and its further explanation in the documentation."""
+    """The templates of one finding, and the text that explains it in the documentation."""
 
     section: str
     message: str
@@ -46,7 +46,7 @@ class Texts(NamedTuple):
 
 @cache
 def words() -> dict[str, Words]:
-    """Return id -> words of each finding in ``findings.md``, in the order of the file."""
+    """Return id -> templates of each finding in ``findings.md``, in the order of the file."""
     text = (get_data(__package__, 'findings.md') or b'').decode()
     return dict(_entries(re.sub(r'(?s)<!--.*?-->', '', text)))
 
@@ -64,9 +64,10 @@ def _entries(text: str) -> Iterator[tuple[str, Words]]:
 
 
 def texts_of(finding: Finding, units: str = 'deg/h', spelled: Callable[[str], str] = str) -> Texts:
-    """Return message and remedy of a finding in 'deg/h' or 'SI'.
+    """Return message and remedy of a finding, with quantities in the units 'deg/h' or 'SI'.
 
-    ``spelled`` returns the spelling of a unit of measurement, such as `pretty_unit`.
+    ``spelled`` is a function that returns the spelling of a unit of measurement, such as
+    `pretty_unit`.
 
     Examples
     --------
@@ -76,9 +77,12 @@ def texts_of(finding: Finding, units: str = 'deg/h', spelled: Callable[[str], st
     """
     if finding.stated is not None:
         return Texts(*finding.stated)
-    known = words()[finding.id]
+    templates = words()[finding.id]
     return Texts(
-        *(_filled(each, finding.values, units, spelled) for each in (known.message, known.remedy))
+        *(
+            _filled(each, finding.values, units, spelled)
+            for each in (templates.message, templates.remedy)
+        )
     )
 
 
@@ -113,8 +117,8 @@ def _filled(
         name, spec = place[1], place[2] or ''
         value = values[name]
         if '|' in spec:
-            one, many = spec.split('|')
-            return one if value == 1 else many
+            singular, plural = spec.split('|')
+            return singular if value == 1 else plural
         return _text_of(value if isinstance(value, Several) else [value], spec, units, spelled)
 
     return FIELD.sub(inserted, OPTIONAL.sub(optional, template))
@@ -126,14 +130,14 @@ def _text_of(values: Sequence[Any], spec: str, units: str, spelled: Callable[[st
         return _quantities_text(values, int(spec.lstrip('QNBKRsignal') or 3), units, spelled)
     if isinstance(values[0], tuple):
         return ', '.join(f'{q.name} {_text_of([q], spec, units, spelled)}' for q in values[0])
-    each = dict.fromkeys(_plain_text(value, spec) for value in sorted(values))
+    distinct_texts = dict.fromkeys(_plain_text(value, spec) for value in sorted(values))
     if (
-        1 < len(each) <= MOST_VALUES
-        and ' ' not in ''.join(each)
+        1 < len(distinct_texts) <= MOST_VALUES
+        and ' ' not in ''.join(distinct_texts)
         and max(values) > APART * min(values)
     ):
-        *first, last = each
-        return f'{", ".join(first)} and {last}'
+        *others, last = distinct_texts
+        return f'{", ".join(others)} and {last}'
     texts = [_plain_text(value, spec) for value in (min(values), max(values))]
     low, high = texts if len(values) > 1 else (texts[0], texts[0])
     number, _, unit = low.partition(' ')
@@ -156,31 +160,31 @@ def _quantities_text(
     quantities: Sequence[Estimate], digits: int, units: str, spelled: Callable[[str], str]
 ) -> str:
     """Return quantities of one kind as one text, such as '2 to 3 deg/h (1.5 to 4.1)'."""
-    known = [q.value for q in quantities if q.value is not None]
-    ends = [q.ci95 for q in quantities if q.ci95 is not None]
+    values_si = [q.value for q in quantities if q.value is not None]
+    intervals = [q.ci95 for q in quantities if q.ci95 is not None]
     limits = [q.upper95 for q in quantities if q.upper95 is not None]
-    first, size = quantities[0], max(map(abs, known or limits), default=0.0)
-    unit = prefixed(shown_unit(first.axis, unit_term(first.name), units), size)
-    if first.name == 'signal' and unit.name == 'deg/h' and size * unit.factor >= FAST_DEG_H:
+    first, largest_size = quantities[0], max(map(abs, values_si or limits), default=0.0)
+    unit = prefixed(shown_unit(first.axis, unit_term(first.name), units), largest_size)
+    if first.name == 'signal' and unit.name == 'deg/h' and largest_size * unit.factor >= FAST_DEG_H:
         unit = shown_unit(first.axis, 'signal', units)
 
     def text(value: float) -> str:
         return significant(value * unit.factor, digits)
 
-    if not known:
-        return f'< {text(size)} {spelled(unit.name)}'
-    values = dict.fromkeys(text(value) for value in (min(known), max(known)))
+    if not values_si:
+        return f'< {text(largest_size)} {spelled(unit.name)}'
+    values = dict.fromkeys(text(value) for value in (min(values_si), max(values_si)))
     interval = ''
-    if ends:
-        lowest, highest = min(low for low, _ in ends), max(high for _, high in ends)
+    if intervals:
+        lowest, highest = min(low for low, _ in intervals), max(high for _, high in intervals)
         interval = f' ({text(lowest)} to {text(highest)})'
     return f'{" to ".join(values)} {spelled(unit.name)}{interval}'
 
 
 MOST_VALUES, APART = 3, 1.1
-"""Largest count of numbers that are listed one by one, and least ratio of the largest to the
-smallest of them. Other numbers are written as a range. A range of few numbers that are far apart
-could be misread, for example as a band of frequencies."""
+"""At most `MOST_VALUES` numbers are listed one by one, if the largest is more than `APART` times
+the smallest. Otherwise, the numbers are written as a range. A range of a few numbers that are far
+apart could be misread, for example as a band of frequencies."""
 
 FAST_DEG_H = 36.0
 """Angular rate in deg/h from which a signal is printed in deg/s."""

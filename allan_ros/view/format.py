@@ -45,7 +45,8 @@ READ_AT = {'Q': math.sqrt(3.0), 'N': 1.0, 'K': 3.0, 'R': math.sqrt(2.0)}
 """Term -> averaging time in s at which its deviation equals its coefficient (IEEE Std 952)."""
 
 RESOLVED_HALF_WIDTHS = 2.58 / 1.96
-"""Least hysteresis that is stated, in half widths of its 95 % interval: the two-sided 1 % level."""
+"""Smallest hysteresis that is stated, in half widths of its 95 % interval. It is significant at the
+two-sided 1 % level."""
 
 
 def pretty_unit(name: str) -> str:
@@ -81,40 +82,41 @@ def deviation_text(deviation: Deviation | None) -> str:
 def temperature_text(models: Mapping[str, TemperatureModel], units: str) -> str:
     """Return the bias over temperature of the axes of one sensor as text, with 95 % intervals.
 
-    The text states the slopes, the hysteresis if it is resolved, and K before and after the bias
-    over temperature is subtracted.
+    The text states the slope of each axis, the hysteresis if it is resolved, and K before and after
+    the bias over temperature is subtracted.
     """
-    names, known = list(models), list(models.values())
+    names, fits = list(models), list(models.values())
     bias, walk = (
         prefixed(shown_unit(names[0], term, units), max(abs(size) for size in sizes))
         for term, sizes in (
-            ('B', [m.b1 for m in known]),
-            ('K', [m.measured.K.value or 0.0 for m in known]),
+            ('B', [m.b1 for m in fits]),
+            ('K', [m.measured.K.value or 0.0 for m in fits]),
         )
     )
     slopes = (
         f'{name[-1]} {_plus_minus(m.b1, m.b1_ci95, bias)}{"" if m.resolved else " (not resolved)"}'
         for name, m in models.items()
     )
-    text = f'{", ".join(slopes)} {bias.name} per K at {known[0].reference:g} degC'
-    shares = [100.0 * m.explained for m in known if m.resolved and m.explained is not None]
+    text = f'{", ".join(slopes)} {bias.name} per K at {fits[0].reference:g} degC'
+    shares = [100.0 * m.explained for m in fits if m.resolved and m.explained is not None]
     if shares:
         low, high = f'{min(shares):.0f}', f'{max(shares):.0f}'
         text += f', {low if low == high else f"{low} to {high}"} % of the drift'
-    loops = [
+    hystereses = [
         f'{name[-1]} {_plus_minus(m.hysteresis, m.hysteresis_ci95, bias)}'
         for name, m in models.items()
         if abs(m.hysteresis) > RESOLVED_HALF_WIDTHS * np.ptp(m.hysteresis_ci95) / 2.0
     ]
-    if loops:
-        text += f'; rising minus falling {", ".join(loops)} {bias.name}'
-    without, with_it = (
+    if hystereses:
+        text += f'; rising minus falling {", ".join(hystereses)} {bias.name}'
+    corrected_walks, measured_walks = (
         ', '.join(value_text(one, walk) for one in each)
-        for each in ([m.corrected.K for m in known], [m.measured.K for m in known])
+        for each in ([m.corrected.K for m in fits], [m.measured.K for m in fits])
     )
     return (
-        f'{text}. K of the complete recording: {with_it} {walk.name}, after subtraction of b(T): '
-        f'{without}. The coefficients above are without warm-up and slow cycles.'
+        f'{text}. K of the complete recording: {measured_walks} {walk.name}, after the bias over '
+        f'temperature is subtracted: {corrected_walks}. The coefficients above exclude warm-up and '
+        'slow cycles.'
     )
 
 
@@ -145,23 +147,24 @@ class DrawnCurve(NamedTuple):
     """The curve and the model of one axis as they are drawn.
 
     Each array, (factors,), has a value for each averaging time; it is NaN where nothing is drawn.
-    The deviations are in the unit to which `drawn_curve` converts.
+    The deviations are in the unit that the argument ``factor`` of `drawn_curve` determines.
     """
 
     tau: Floats  # averaging times in s
     adev: Floats
     low: Floats  # 68.3 % confidence limits
     high: Floats
-    uncertain: NDArray[np.bool_]  # points that are not compared with the model
+    uncertain: NDArray[np.bool_]  # whether a point is not compared with the model
     model: Floats
     upper: Floats  # model with unresolved terms at their upper limits
-    parts: dict[str, Floats]  # parts of the model
-    limits: dict[str, Floats]  # limits of terms that are not resolved
-    read: dict[str, tuple[float, float]]  # term -> (tau, adev) at which its coefficient can be read
+    parts: dict[str, Floats]  # name of a part of the model -> deviation of this part
+    limits: dict[str, Floats]  # term that is not resolved -> upper limit of its deviation
+    # term -> point (tau, adev) at which the deviation of the term equals its coefficient
+    read: dict[str, tuple[float, float]]
 
     @property
     def any(self) -> bool:
-        """Whether any deviation is positive, so that it can be drawn on a logarithmic scale."""
+        """Whether any deviation is positive, so that a logarithmic scale can show the curve."""
         return bool(np.isfinite(self.adev).any())
 
 
@@ -174,7 +177,7 @@ def drawn_curve(axis: AxisResult, factor: float = 1.0) -> DrawnCurve | None:
     if curve is None:
         return None
     positive = curve.adev[curve.adev > 0.0]
-    # parts of the model are drawn above a fifth of the lowest point of the curve
+    # parts of the model are drawn only above a fifth of the lowest point of the curve
     floor = 0.2 * positive.min() if len(positive) else np.inf
 
     def above(values: Floats, least: float = 0.0) -> Floats:

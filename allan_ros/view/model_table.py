@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Tables made from the fitted models of a sensor: numbers for a filter, parts, error growth."""
+"""Tables of the fitted models: numbers for a state estimator, parts, and growth of the error."""
 
 from __future__ import annotations
 
@@ -31,16 +31,17 @@ ERROR_UNITS = {
 """Sensor -> system of units -> unit of the integrated error (an angle or a velocity)."""
 
 PLAIN = 'plain'
-"""Status of a cell whose text is less important than a coefficient."""
+"""Status of a cell with text that is less important than a coefficient."""
 
 
 def filter_table(results: Results) -> Table:
-    """Return the numbers of imu.yaml in SI: a row for each key; the detail is the origin.
+    """Return a table of the numbers in imu.yaml, in SI, with a row for each key.
 
-    Raises AllanError if a key needs an axis that was not measured.
+    The detail of a cell states how the number was computed. Raises AllanError if a key needs an
+    axis that was not measured.
     """
-    known = [row for row in target_rows(results, 'kalibr') if row.levels]
-    is_raised = any(level.raised_from is not None for row in known for level in row.levels)
+    measured_rows = [row for row in target_rows(results, 'kalibr') if row.levels]
+    is_raised = any(level.raised_from is not None for row in measured_rows for level in row.levels)
     rows = [
         (
             Heading(row.key),
@@ -52,19 +53,19 @@ def filter_table(results: Results) -> Table:
                 )
             ],
         )
-        for row in known
+        for row in measured_rows
     ]
     return Table(Heading(''), [Heading('', wraps=True)], rows, RAISED if is_raised else '')
 
 
 def parts_table(axes: Axes) -> Table:
-    """Return what the models of a sensor contain: a column for each axis.
+    """Return a table of what the models of a sensor contain: a column for each axis.
 
     The rows are the largest deviation of the curve from the model, the dominant noise, and the
-    parts that are not terms. A row without content is omitted.
+    other parts, which are not terms, or are likely terms. A row without content is omitted.
     """
 
-    def lines(parts: list[str]) -> Cell:
+    def lines_cell(parts: list[str]) -> Cell:
         return Cell('\n'.join(parts) or NOTHING_KNOWN, status=PLAIN)
 
     regions = [
@@ -75,7 +76,7 @@ def parts_table(axes: Axes) -> Table:
         ]
         for axis in axes.values()
     ]
-    others = [
+    other_parts = [
         [
             f'{part}, likely but not resolved (?)' if part in TERMS else part
             for part in axis.part_adev(np.ones(1, int))
@@ -86,41 +87,41 @@ def parts_table(axes: Axes) -> Table:
     deviations = [
         [text] if (text := deviation_text(axis.fit.deviation)) else [] for axis in axes.values()
     ]
-    known = (
+    all_rows = (
         (Heading('largest deviation', note='of the curve from the model'), deviations),
         (Heading('dominant noise', note='by averaging time'), regions),
-        (Heading('other parts', note='of the model'), others),
+        (Heading('other parts', note='of the model'), other_parts),
     )
-    rows = [(heading, [*map(lines, parts)]) for heading, parts in known if any(parts)]
+    rows = [(heading, [*map(lines_cell, parts)]) for heading, parts in all_rows if any(parts)]
     return Table(Heading(''), axis_headings(axes), rows)
 
 
 def growth_table(axes: Axes, units: str) -> Table:
-    """Return the predicted angle or velocity error of one sensor without a correction.
+    """Return a table of the predicted angle or velocity error of one sensor without corrections.
 
-    The cells contain one standard deviation with its 95 % interval. There is a row for each
-    duration and a column for each axis.
+    Each cell contains the standard deviation of the error with its 95 % interval. There is a row
+    for each duration and a column for each axis.
     """
     sensor = sensor_of(next(iter(axes)))
     unit = ERROR_UNITS[sensor][units]
     rows = [
         (
-            Heading(f'after {growth[0].horizon:g}{NO_BREAK}s'),
-            [size_cell(g.std, unit.factor) for g in growth],
+            Heading(f'after {axis_growths[0].horizon:g}{NO_BREAK}s'),
+            [size_cell(g.std, unit.factor) for g in axis_growths],
         )
-        for growth in zip(*(axis.growth for axis in axes.values()))
+        for axis_growths in zip(*(axis.growth for axis in axes.values()))
     ]
     return Table(Heading(f'{WALKS[sensor][0]} error', unit.name), axis_headings(axes), rows)
 
 
 def size_cell(known: Estimate, factor: float) -> Cell:
-    """Return a standard deviation (SI) with its 95 % interval, times ``factor``.
+    """Return a cell with a standard deviation (SI) and its 95 % interval, times ``factor``.
 
-    If the interval begins at 0, no term is resolved, and only the upper end is stated.
+    If the interval begins at 0, because no term is resolved, only its upper end is stated.
     """
     size = known.value or 0.0
     low, high = known.ci95 or (size, size)
     if not low > 0.0:
         return Cell(f'< {significant(high * factor, 2)}' if high > 0.0 else NOTHING_KNOWN)
-    ends = '..'.join(significant(end * factor, 2) for end in known.ci95 or ())
-    return Cell(significant(size * factor, 2), ends, size * factor)
+    interval = '..'.join(significant(end * factor, 2) for end in known.ci95 or ())
+    return Cell(significant(size * factor, 2), interval, size * factor)

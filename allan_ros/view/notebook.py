@@ -16,7 +16,7 @@ from .verdict_text import headline, verdict_of
 NOTEBOOK_STYLE = (
     '.allan_ros small { display: block; opacity: .7; } .allan_ros table { margin: .5em 0; }'
 )
-"""Style sheet of the output: the intervals stand below the values."""
+"""Style sheet of the output, which shows the intervals below the values."""
 
 
 def notebook_html(results: Results) -> str:
@@ -25,8 +25,8 @@ def notebook_html(results: Results) -> str:
     parts = [f'<p>{escape(headline(results))}</p>']
     parts.append(f'<p><b>{escape(verdict_of(results, units).summary)}</b></p>')
     for rows in SENSORS.values():
-        known = {axis: results.noise[axis] for axis in AXES[rows] if axis in results.axes}
-        if known:
-            table = coefficient_table(known, units, prefixes=True)
+        coefficients = {axis: results.noise[axis] for axis in AXES[rows] if axis in results.axes}
+        if coefficients:
+            table = coefficient_table(coefficients, units, prefixes=True)
             parts.append(html_table('coefficients', lambda _, table=table: table))  # type: ignore[misc]
     return f'<div class="allan_ros"><style>{NOTEBOOK_STYLE}</style>{"".join(parts)}</div>'

@@ -44,10 +44,11 @@ RC: dict[str, Any] = {
 """Settings of all figures. Fonts are embedded in a PDF as TrueType (42), as journals require."""
 
 WIDTH_IN, ROW_IN, HEAD_IN = 7.16, 1.9, 0.7
-"""Width of a page of IEEE journals, height of a panel, and height of title and labels (inches)."""
+"""Width of a figure, which is a page of IEEE journals, height of a panel, and height of title and
+labels, in inches."""
 
 BAND_ALPHA, LIMIT_ALPHA = 0.2, 0.1
-"""Opacity of the 68 % limits, and of the possible contribution of unresolved terms."""
+"""Opacity of the bands of the 68 % limits, and of the contribution of unresolved terms."""
 
 TAU_LABEL = 'averaging time τ [s]'
 
@@ -96,9 +97,9 @@ def sensor_figure(results: Results, sensor: str, units: str = 'deg/h') -> Figure
     axes = {name: axis for name, axis in axes.items() if axis.curve is not None}
     if not axes:
         return None
-    of = f' of {results.identity.label}' if results.identity.label else ''
+    of_label = f' of {results.identity.label}' if results.identity.label else ''
     title = (
-        f'{SENSOR_NAMES[sensor]}{of}: Allan deviation, {results.samples:,} samples at '
+        f'{SENSOR_NAMES[sensor]}{of_label}: Allan deviation, {results.samples:,} samples at '
         f'{results.rate_hz:.4g} Hz, {results.duration_s / 3600.0:.3g} h'
     )
     with rc_context(RC):
@@ -129,7 +130,7 @@ def common_figure(common: CommonResult) -> Figure:
 
 
 def draw_axes(panel: Axes, axes: Mapping[str, AxisResult], units: str = 'deg/h') -> None:
-    """Draw the curves and models of axes; for a single axis, also the parts of its model."""
+    """Draw the curves and models of axes. For a single axis, also draw the parts of the model."""
     for name, axis in axes.items():
         unit = shown_unit(name, 'B', units)
         curve = drawn_curve(axis, unit.factor)
@@ -176,7 +177,8 @@ def _draw_axis(panel: Axes, name: str, axis: AxisResult, units: str) -> None:
     )
     panel.plot(curve.tau, curve.model, 'k-', lw=0.9, label='model')
     for part, adev in (*curve.parts.items(), *curve.limits.items()):
-        color, dashes = TERM_STYLES.get(part, ('0.5', (0, (2, 1))))  # gray: another process
+        # a process that is not a term is gray
+        color, dashes = TERM_STYLES.get(part, ('0.5', (0, (2, 1))))
         dashes = dashes if part in curve.parts else (0, (1, 3))
         text = _part_text(part, name, axis, units)
         panel.plot(curve.tau, adev, color=color, ls=dashes, lw=1.1, label=text)
@@ -184,16 +186,16 @@ def _draw_axis(panel: Axes, name: str, axis: AxisResult, units: str) -> None:
     panel.fill_between(
         curve.tau, curve.model, curve.upper, color='k', alpha=LIMIT_ALPHA, lw=0, label=label
     )
-    for term, (tau, value) in curve.read.items():  # as in IEEE Std 952: N at 1 s, K at 3 s
+    for term, (tau, value) in curve.read.items():  # a coefficient can be read at its mark
         panel.plot([tau], [value], '+', color=TERM_STYLES[term][0], ms=7.0, mew=1.2)
     panel.set_ylim(0.45 * np.nanmin(curve.adev), 1.8 * np.nanmax(curve.adev))
 
 
 def _part_text(part: str, name: str, axis: AxisResult, units: str) -> str:
-    text = part
+    label = part
     if part in TERMS:
         unit, coefficient = shown_unit(name, part, units), axis.fit.noise[part]
         interval = interval_text(coefficient, unit)
-        text = f'{part} {value_text(coefficient, unit)} {pretty_unit(unit.name)}'
-        text += f' ({interval})' if interval else ''
-    return f'{text}, likely' if part in axis.fit.likely else text
+        label = f'{part} {value_text(coefficient, unit)} {pretty_unit(unit.name)}'
+        label += f' ({interval})' if interval else ''
+    return f'{label}, likely' if part in axis.fit.likely else label

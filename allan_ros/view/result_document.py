@@ -16,9 +16,9 @@ from .verdict_text import verdict_of
 def result_document(results: Results, units: str = 'deg/h', curves: bool = True) -> dict[str, Any]:
     """Return the results as the document ``allan_ros/results/3`` (results.json).
 
-    Numbers are in SI; ``units`` ('deg/h' or 'SI') are the units in the texts of the findings and of
-    the verdict. Without ``curves``, the curves and the verdict are omitted.
+    Numbers are in SI. The texts of the findings and of the verdict use ``units``: 'deg/h' or 'SI'.
+    Without ``curves``, the curves and the verdict are omitted.
     """
-    judged = {'verdict': plain(verdict_of(results, units))} if curves else {}
-    found = [finding_document(each, units) for each in results.findings]
-    return {**results_to_document(results, curves), **judged, 'findings': found}
+    verdict_entry = {'verdict': plain(verdict_of(results, units))} if curves else {}
+    finding_documents = [finding_document(each, units) for each in results.findings]
+    return {**results_to_document(results, curves), **verdict_entry, 'findings': finding_documents}

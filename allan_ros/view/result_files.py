@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from ..results.results import Results
 
 SIGNAL_BINS = 1000
-"""Number of time intervals of the raw signal in plots, about the width of a plot in pixels."""
+"""Number of time intervals in the plot of the raw signal, about the width of the plot in pixels."""
 
 REPORT = 'report.html'
 
@@ -54,7 +54,7 @@ def write_result_files(
 ) -> tuple[Results, list[Path]]:
     """Write the files of `Results.save`, and return the results and the paths of the files.
 
-    The returned results have a finding for each file of a target that cannot be written.
+    The returned results have a finding for each export target whose file cannot be made.
     ``command`` is the command that repeats the analysis; the report shows it.
 
     Raises AllanError when the results have no sums, the folder has results of another recording, or
@@ -64,24 +64,24 @@ def write_result_files(
     if recorded is None:
         raise AllanError('these results were read from a file without their sums: analyze again')
     folder = Path(folder)
-    _files_in(folder, results, overwrite)  # may refuse, before the report is made
-    filters, results = _filter_files(results, targets)
-    known = results.provenance
+    _files_in(folder, results, overwrite)  # raises errors early, before the report is made
+    target_files, results = _filter_files(results, targets)
+    provenance = results.provenance
     summary = summarize_signal(
-        recorded.signals, known.segments, SIGNAL_BINS, recorded.events, recorded.temperatures
+        recorded.signals, provenance.segments, SIGNAL_BINS, recorded.events, recorded.temperatures
     )
     sums_document = sums_file_to_document(recorded.sums, results.provenance)
     digest = fingerprint(sums_document)
-    drawn: dict[str, bytes] = {}
+    figures: dict[str, bytes] = {}
     if plots:
         from .plots import figure_files  # imports matplotlib
 
-        drawn = figure_files(results, plots, units)
+        figures = figure_files(results, plots, units)
     method = {'command': command} if command else {}
     method['fingerprint of the sums'] = f'{digest} (equal for equal samples)'
-    named = [*filters, *drawn, RESULTS, SUMS]
-    report = render_report(results, units, summary, method, named)
-    contents: dict[str, str | bytes] = {**drawn, REPORT: report, **filters}
+    file_names = [*target_files, *figures, RESULTS, SUMS]
+    report = render_report(results, units, summary, method, file_names)
+    contents: dict[str, str | bytes] = {**figures, REPORT: report, **target_files}
     files = sorted({*contents, RESULTS, SUMS})
     document = {
         **result_document(results, units),
@@ -90,11 +90,12 @@ def write_result_files(
     }
     with _folder_locked(made_folder(folder)):
         # All files but sums and results are removed first and written last, so that no file of an
-        # earlier analysis remains. The same fingerprint is in sums and results.
-        former = _files_in(folder, results, overwrite)
-        both = {SUMS: to_json(sums_document), RESULTS: to_json(document)}
-        write_together(folder, {**both, **contents}, former.union(contents))
-    return results, [folder / name for name in (*contents, *both)]
+        # earlier analysis remains. The fingerprint in results.json shows whether sums.json belongs
+        # to the same analysis.
+        former_files = _files_in(folder, results, overwrite)
+        sums_and_results = {SUMS: to_json(sums_document), RESULTS: to_json(document)}
+        write_together(folder, {**sums_and_results, **contents}, former_files.union(contents))
+    return results, [folder / name for name in (*contents, *sums_and_results)]
 
 
 @contextmanager
@@ -114,30 +115,31 @@ def _folder_locked(folder: Path) -> Iterator[None]:
 
 
 def _files_in(folder: Path, results: Results, overwrite: bool) -> set[str]:
-    """Return the names of the files that an earlier analysis wrote, without sums and results.
+    """Return the names of the files of an earlier analysis, except results.json and sums.json.
 
     Raises AllanError if the folder has results of another recording, unless ``overwrite`` is set.
     """
     try:
         document = read_json(folder / RESULTS)
         fields = Fields(document, str(folder / RESULTS))
-        named = fields.sequence('files')
-        known = [(each.text('path'), each.text('topic')) for each in fields.each('source')]
+        listed_names = fields.sequence('files')
+        former_sources = [(each.text('path'), each.text('topic')) for each in fields.each('source')]
     except AllanError:
         return set()
     sources = [(source.path, source.topic) for source in results.provenance.sources]
-    if _names(known) != _names(sources) and not overwrite:
+    if _names(former_sources) != _names(sources) and not overwrite:
         raise AllanError(
-            f'{folder}: has the results of another recording, {", ".join(_names(known))}: give '
-            'another folder, or --overwrite (in Python overwrite=True)'
+            f'{folder}: has the results of another recording, '
+            f'{", ".join(_names(former_sources))}: give another folder, or --overwrite '
+            '(in Python overwrite=True)'
         )
-    ours = {f'allan_{sensor}.{form}' for sensor in SENSORS for form in FORMATS}
-    ours |= {REPORT, *(target_of(name).file_name for name in TARGETS)}
-    return ours.intersection(name for name in named if isinstance(name, str))
+    possible_names = {f'allan_{sensor}.{form}' for sensor in SENSORS for form in FORMATS}
+    possible_names |= {REPORT, *(target_of(name).file_name for name in TARGETS)}
+    return possible_names.intersection(name for name in listed_names if isinstance(name, str))
 
 
 def _names(sources: Sequence[tuple[str, str]]) -> list[str]:
-    """Return file name and topic of each source, sorted."""
+    """Return file name and topic of each source as text, sorted."""
     return sorted(one_line(f'{Path(path).name} {topic}'.strip()) for path, topic in sources)
 
 
@@ -148,8 +150,8 @@ def _filter_files(results: Results, targets: Sequence[str]) -> tuple[dict[str, s
         try:
             files[target.file_name] = make_export(results, name, words=finding_line).text
         except AllanError as error:
-            omitted = finding('file_left_out', file=target.file_name, why=str(explained(error)))
-            results = replace(results, findings=(*results.findings, omitted))
+            failure = finding('file_left_out', file=target.file_name, why=str(explained(error)))
+            results = replace(results, findings=(*results.findings, failure))
     return files, results
 
 

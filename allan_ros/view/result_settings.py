@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Settings of the outputs of an analysis."""
+"""Settings for fitting and comparing, and for the output of an analysis."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class ResultSettings(CheckedSettings):
     )
     units: str = parameter(
         'deg/h',
-        'Units of the output: as in datasheets, such as deg/h and ug, or SI.',
+        'Units of the output: deg/h for the units in datasheets, such as deg/h and ug, or SI.',
         choices=UNIT_SYSTEMS,
     )
     export: tuple[str, ...] = parameter(
@@ -45,7 +45,7 @@ class ResultSettings(CheckedSettings):
     noise: str = parameter(
         '',
         'Earlier run of this IMU at rest, whose noise predicts the errors in motion: its '
-        'results.json, or its folder. By default the noise of the rests of the recording.',
+        'results.json, or its folder. By default, the noise in the rests of the recording is used.',
     )
     plots: tuple[str, ...] = parameter(
         (), 'Also draw the Allan deviation of each sensor as a figure: png, svg, pdf.'
@@ -65,7 +65,7 @@ class ResultSettings(CheckedSettings):
 
     @property
     def stated_margin(self) -> float | None:
-        """The margin; None if it is the default, so that an earlier comparison keeps its margin."""
+        """The margin; None for the default, so that the margin of an earlier comparison is used."""
         return None if self.margin == MARGIN else self.margin
 
 

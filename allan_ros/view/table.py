@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from rich.table import Table as Grid
 
 DASH = '–'
-"""What HTML shows for `NOTHING_KNOWN`."""
+"""Text that HTML shows instead of `NOTHING_KNOWN`."""
 
 MARKS = {'within': '✓', 'undecided': '≈', 'exceeds': '✕'}
 """Status of a quantity that was compared with a limit -> symbol beside the status in HTML."""
@@ -34,15 +34,15 @@ GAP, HEADINGS = 2, 14
 The least width aligns the tables of several sensors."""
 
 WIDE = 1000
-"""Width in characters of text that is not for a terminal."""
+"""Width in characters of text that is not for a terminal: practically unlimited."""
 
 
 class Heading(NamedTuple):
     """Heading of a column or of a row: name, unit of its cells, and an explanation.
 
-    The other fields are for terminal text. ``align`` is the alignment of a column. A column that
-    ``wraps`` is as wide as the terminal allows; other columns are as wide as their content. If a
-    table is too wide and is split, a column that ``repeats`` is in each of the parts.
+    The other fields apply to terminal text. ``align`` is the alignment of a column. A column with
+    ``wraps`` breaks its lines at the width of the terminal; other columns are as wide as their
+    content. If a table is too wide and is split, a column with ``repeats`` is in each of the parts.
     """
 
     name: str
@@ -60,9 +60,9 @@ class Cell:
     Attributes
     ----------
     text : str
-        The content for readers, in several lines if it has line breaks; '' for nothing.
+        The content for readers, which may have line breaks; '' for an empty cell.
     detail : str
-        Second content, such as an interval: beside the text or below it.
+        Further content, such as an interval, which is shown beside the text or below it.
     value : float, int, str or None
         The content for programs; None if it is unknown.
     status : str
@@ -88,10 +88,11 @@ class Table:
     corner : Heading
         Heading of the column that contains the headings of the rows.
     columns : sequence of Heading
+        Headings of the other columns.
     rows : sequence of (Heading, sequence of Cell)
         Each row has one cell for each column.
     note : str
-        Explanation below the table; '' for none.
+        Explanation below the table; '' for no explanation.
     """
 
     corner: Heading
@@ -146,27 +147,35 @@ def terminal_lines(table: Table, width: int) -> Iterator[str]:
         unlimited = console.options.update(width=2 * width)
         return wraps or console.measure(grid, options=unlimited).maximum <= width
 
-    every = range(len(table.columns))
-    first = [i for i in every if table.columns[i].repeats]
-    others = [i for i in every if i not in first]
-    blocks = [_grid(table, every, beside=True)]
-    if not fits(blocks[0]):
-        counts = range(len(others), 0, -1)
-        across = next((n for n in counts if fits(_grid(table, [*first, *others[:n]]))), 1)
-        parts = [[*first, *others[i : i + across]] for i in range(0, len(others), across)]
-        blocks = [
+    all_columns = range(len(table.columns))
+    repeated = [i for i in all_columns if table.columns[i].repeats]
+    other_columns = [i for i in all_columns if i not in repeated]
+    grids = [_grid(table, all_columns, details_beside=True)]
+    if not fits(grids[0]):
+        counts = range(len(other_columns), 0, -1)
+        n_columns = next(
+            (n for n in counts if fits(_grid(table, [*repeated, *other_columns[:n]]))), 1
+        )
+        parts = [
+            [*repeated, *other_columns[i : i + n_columns]]
+            for i in range(0, len(other_columns), n_columns)
+        ]
+        grids = [
             grid if fits(grid := _grid(table, part)) else _grid(table, part, folds=True)
             for part in parts
         ]
-    for i, block in enumerate(blocks):
-        console.print(*([''] * bool(i)), block, sep='\n')
+    for i, each in enumerate(grids):
+        console.print(*([''] * bool(i)), each, sep='\n')
     yield from (line.rstrip() for line in sink.getvalue().splitlines())
     yield from textwrap.wrap(table.note, width - 1, break_on_hyphens=False)
 
 
-def _grid(table: Table, columns: Sequence[int], beside: bool = False, folds: bool = False) -> Grid:
-    """Return some columns of a table for rich, with details beside or below the texts.
+def _grid(
+    table: Table, columns: Sequence[int], details_beside: bool = False, folds: bool = False
+) -> Grid:
+    """Return some columns of a table as a table of rich.
 
+    Details are beside the texts if ``details_beside`` is set, otherwise below the texts.
     ``folds`` permits line breaks in all columns.
     """
     from rich.table import Table as Grid
@@ -178,12 +187,12 @@ def _grid(table: Table, columns: Sequence[int], beside: bool = False, folds: boo
         heading = table.columns[i]
         wraps = folds or heading.wraps
         grid.add_column(no_wrap=not wraps, overflow='fold', justify=heading.align)
-    wide = {i: max((len(cells[i].text) for _, cells in table.rows), default=0) for i in columns}
+    widths = {i: max((len(cells[i].text) for _, cells in table.rows), default=0) for i in columns}
 
     def text_of(cell: Cell, i: int) -> Text:
-        if not beside or not cell.detail:
+        if not details_beside or not cell.detail:
             return Text('\n'.join(filter(None, (cell.text, cell.detail))))
-        return Text(f'{cell.text:{wide[i]}} {cell.detail}')
+        return Text(f'{cell.text:{widths[i]}} {cell.detail}')
 
     if table.has_headings:
         grid.add_row(Text(_plain(table.corner)), *(Text(_plain(table.columns[i])) for i in columns))
@@ -200,9 +209,9 @@ def _plain(heading: Heading) -> str:
 
 
 def in_units(html_of: Callable[[str], str]) -> str:
-    """Return HTML with a text in datasheet units and in SI; the page shows one of them.
+    """Return HTML with a text in datasheet units and in SI; the page shows one of the two.
 
-    ``html_of`` returns the text for 'deg/h' or 'SI'. Equal texts are written once.
+    ``html_of`` returns the text for 'deg/h' or 'SI'. If both texts are equal, there is only one.
     """
     texts = {units: html_of(units) for units in UNIT_SYSTEMS}
     if len({*texts.values()}) == 1:
@@ -217,26 +226,26 @@ def html_table(kind: str, table_of: Callable[[str], Table]) -> str:
     is the class of the table in the style sheet.
     """
     tables = {units: table_of(units) for units in UNIT_SYSTEMS}
-    one = tables[UNIT_SYSTEMS[0]]
+    first_table = tables[UNIT_SYSTEMS[0]]
 
     def heading(of: Callable[[Table], Heading]) -> str:
         return in_units(lambda units: heading_html(of(tables[units])))
 
     corner = heading(lambda table: table.corner)
     head = f'<th scope="col">{corner}</th>' if corner else '<td></td>'
-    for i, column in enumerate(one.columns):
+    for i, column in enumerate(first_table.columns):
         kinds = f' class="{escape(column.name)}"' if column.name.isalpha() else ''
         head += f'<th scope="col"{kinds}>{heading(lambda t, i=i: t.columns[i])}</th>'  # type: ignore[misc]
     body = ''
-    for r, (_, cells) in enumerate(one.rows):
+    for r, (_, cells) in enumerate(first_table.rows):
         body += f'<tr><th scope="row">{heading(lambda t, r=r: t.rows[r][0])}</th>'  # type: ignore[misc]
         for i, cell in enumerate(cells):
             inner = in_units(lambda units, r=r, i=i: _cell_html(tables[units].rows[r][1][i]))  # type: ignore[misc]
             kinds = f' class="{cell.status}"' if cell.status and cell.status not in MARKS else ''
             body += f'<td{kinds}>{inner}{_mark_html(cell.status)}</td>'
         body += '</tr>'
-    top = f'<thead><tr>{head}</tr></thead>' if one.has_headings else ''
-    note = note_html(one.note) if one.note else ''
+    top = f'<thead><tr>{head}</tr></thead>' if first_table.has_headings else ''
+    note = note_html(first_table.note) if first_table.note else ''
     return f'<table class="{kind}">{top}<tbody>{body}</tbody></table>{note}'
 
 
@@ -270,7 +279,7 @@ def _mark_html(status: str) -> str:
 # --- programs -------------------------------------------------------------------------------------
 
 Record = Mapping[str, 'float | int | str | None']
-"""Name of a column -> value, of one row."""
+"""The values of one row: name of a column -> value."""
 
 
 def records(table: Table) -> list[Record]:

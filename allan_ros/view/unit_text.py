@@ -18,11 +18,11 @@ from .finding_text import texts_of
 from .verdict_text import finding_text, verdict_of
 
 SHOWN_CHECKS, SHOWN_FINDINGS = 4, 2
-"""Largest numbers of quantities and of findings that the line of an IMU names."""
+"""Largest number of quantities, and of findings, that the line about an IMU names."""
 
 
 def limits_text(limits: Limits) -> str:
-    """Return limits as text, in the unit of measurement of the plan.
+    """Return limits as text, in the unit of measurement that the plan states.
 
     >>> limits_text(Limits(0.0, 1e-2, '%', 1e-2)), limits_text(Limits(9.5, None, 'm/s^2'))
     ('0 to 1 %', 'at least 9.5 m/s^2')
@@ -37,7 +37,10 @@ def limits_text(limits: Limits) -> str:
 
 
 def measured_text(measured: Estimate, limits: Limits) -> str:
-    """Return a measured quantity as text, in the unit of the plan, such as '< 3.2 deg/h' or '-'."""
+    """Return a measured quantity as text in the unit of the limits, such as '< 3.2 deg/h'.
+
+    The text is '-' if the quantity is unknown.
+    """
     sign, value = '', measured.value if measured.resolved else None
     if value is None:
         sign, value = '< ', measured.upper95
@@ -48,7 +51,7 @@ def measured_text(measured: Estimate, limits: Limits) -> str:
 
 
 def name_of(checks: Sequence[Check]) -> str:
-    """Return the name of a quantity with its axes: 'gyro x, y N', 'gyro N' for all, or 'rate'."""
+    """Return the name of a quantity with axes: 'gyro x, y N', 'gyro N' for all axes, or 'rate'."""
     axes = [check.axis for check in checks if check.axis]
     quantity = checks[0].quantity.replace('_', ' ')
     if not axes:
@@ -59,7 +62,7 @@ def name_of(checks: Sequence[Check]) -> str:
 
 
 def checks_text(checks: Sequence[Check], plan: Plan) -> str:
-    """Return the measured values of some quantities, each with the limits of the plan, as text.
+    """Return measured quantities as text, each with the limits of the plan.
 
     Axes of one sensor with the same limits are named together.
     """
@@ -74,10 +77,10 @@ def checks_text(checks: Sequence[Check], plan: Plan) -> str:
         if len(group) == 1:
             values = measured_text(group[0].measured, limits)
         reason = f', because {note}' if note else ''
-        shown = 'is unknown' if not values.strip('- ') else values
-        texts.append(f'{name_of(group)} {shown}{reason} (limit {limits_text(limits)})')
-    more = [f'{len(texts) - SHOWN_CHECKS} more'] if len(texts) > SHOWN_CHECKS else []
-    return '; '.join([*texts[:SHOWN_CHECKS], *more])
+        value_text = 'is unknown' if not values.strip('- ') else values
+        texts.append(f'{name_of(group)} {value_text}{reason} (limit {limits_text(limits)})')
+    remaining = [f'{len(texts) - SHOWN_CHECKS} more'] if len(texts) > SHOWN_CHECKS else []
+    return '; '.join([*texts[:SHOWN_CHECKS], *remaining])
 
 
 def unit_sentences(check: UnitCheck, results: Results, units: str) -> list[str]:
@@ -85,32 +88,34 @@ def unit_sentences(check: UnitCheck, results: Results, units: str) -> list[str]:
 
     ``units`` is 'deg/h' or 'SI'.
     """
-    suspect = [each for each in grouped(check.suspect) if each.id != 'exceeds_limit']
+    suspect_findings = [each for each in grouped(check.suspect) if each.id != 'exceeds_limit']
     # a wrong unit of measurement or a broken axis explains the numbers, so it comes first
-    causes = [each for each in suspect if each.id in (*BROKEN, *WRONG_UNITS, 'accel_scale')]
-    said = [finding_text(each, results, units) for each in causes[:1]]
+    causes = [
+        each for each in suspect_findings if each.id in (*BROKEN, *WRONG_UNITS, 'accel_scale')
+    ]
+    sentences = [finding_text(each, results, units) for each in causes[:1]]
     plan = check.plan
-    beyond, undecided = check.of('exceeds'), check.of('undecided')
-    if plan and beyond:
-        said.append(f'Beyond {plan.name}: {checks_text(beyond, plan)}.')
-    compared = results.comparisons or not plan
-    if compared:
+    exceeded, undecided_checks = check.of('exceeds'), check.of('undecided')
+    if plan and exceeded:
+        sentences.append(f'Beyond {plan.name}: {checks_text(exceeded, plan)}.')
+    is_compared = results.comparisons or not plan
+    if is_compared:
         summary = verdict_of(results, units).summary
-        said += [summary] if summary not in said else []
-    for i, each in enumerate(suspect[:SHOWN_FINDINGS]):
-        if not any(texts_of(each, units).message in sentence for sentence in said):
-            said.append(finding_text(each, results, units))
+        sentences += [summary] if summary not in sentences else []
+    for i, each in enumerate(suspect_findings[:SHOWN_FINDINGS]):
+        if not any(texts_of(each, units).message in sentence for sentence in sentences):
+            sentences.append(finding_text(each, results, units))
         if i == 0:
-            said.append(texts_of(each, units).remedy)
-    if hidden := len(suspect[SHOWN_FINDINGS:]):
-        said.append(f'{hidden} more finding{"s" * (hidden > 1)}.')
-    if plan and undecided:
-        said.append(f'Not decided by {plan.name}: {checks_text(undecided, plan)}.')
-    if plan and not beyond and not undecided:
-        said.append(f'All limits of {plan.name} are met ({len(check.checks)}).')
-    return said
+            sentences.append(texts_of(each, units).remedy)
+    if n_omitted := len(suspect_findings[SHOWN_FINDINGS:]):
+        sentences.append(f'{n_omitted} more finding{"s" * (n_omitted > 1)}.')
+    if plan and undecided_checks:
+        sentences.append(f'Not decided by {plan.name}: {checks_text(undecided_checks, plan)}.')
+    if plan and not exceeded and not undecided_checks:
+        sentences.append(f'All limits of {plan.name} are met ({len(check.checks)}).')
+    return sentences
 
 
 def unchecked_text(names: Sequence[str]) -> str:
-    """Return the quantities that a plan does not limit, as a sentence; '' if there are none."""
+    """Return a text that names the quantities without limits in a plan; '' if there are none."""
     return f'unchecked (the plan has no limit): {", ".join(names)}' if names else ''

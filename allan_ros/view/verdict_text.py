@@ -31,11 +31,11 @@ VERDICT_WORDS: dict[Level, str] = {
     'unknown': 'Not judged',
     'failed': 'Failed',
 }
-"""Level of a verdict -> its text."""
+"""Level of a verdict -> text of the level."""
 
 NO_STEP = ('file_left_out', 'held', 'short', 'record_longer', 'record_too_short')
-"""Ids of findings whose remedy is not a next step, because no action is needed, or because a longer
-recording is a next step of its own."""
+"""Ids of findings whose remedy is not a next step, because no action is needed, or because a
+separate step already advises a longer recording."""
 
 
 @dataclass(frozen=True)
@@ -47,8 +47,8 @@ class Verdict:
     level : 'healthy', 'attention', 'measured', 'unknown' or 'failed'
         'failed' for a broken sensor or an exceeded limit; 'unknown' for too little data, probably
         wrong units, a recording of motion or of a warm-up, another error, or an undecided
-        comparison of N (of any term if N has no limit); 'measured' without a datasheet or earlier
-        run to compare with; 'attention' for a warning.
+        comparison of N (of any term if N has no limit); 'measured' if there is no datasheet or
+        earlier run to compare with; 'attention' for a warning; 'healthy' otherwise.
     summary : str
         One sentence.
     reasons : tuple of str
@@ -64,7 +64,7 @@ class Verdict:
 
 
 def verdict_of(results: Results, units: str = 'deg/h') -> Verdict:
-    """Return the verdict on the IMU of the results; ``units`` of its texts is 'deg/h' or 'SI'."""
+    """Return the verdict on the IMU of the results, with texts in the ``units`` 'deg/h' or 'SI'."""
     comparisons = results.comparisons
     summary = _summary(results, comparisons, units)
     reasons = tuple(finding_text(f, results, units) for f in warnings_and_errors(results))
@@ -74,13 +74,13 @@ def verdict_of(results: Results, units: str = 'deg/h') -> Verdict:
 
 def _summary(results: Results, comparisons: Sequence[Check], units: str) -> str:
     faults = [f for f in results.findings if f.id in SENSOR_FAULTS]
-    wrong = [f for f in grouped(results.findings) if f.id in (*WRONG_UNITS, *UNSUITABLE)]
-    if wrong and not faults and not results.is_too_short:
-        return finding_text(wrong[0], results, units)
-    beyond = [c for c in comparisons if c.verdict == 'exceeds']
-    if beyond and not results.is_too_short:
-        excesses = list(_excesses(results, beyond, units))
-        return f'Above {_references(beyond)}: {_joined(excesses)}.'
+    unsuitable = [f for f in grouped(results.findings) if f.id in (*WRONG_UNITS, *UNSUITABLE)]
+    if unsuitable and not faults and not results.is_too_short:
+        return finding_text(unsuitable[0], results, units)
+    exceeded = [c for c in comparisons if c.verdict == 'exceeds']
+    if exceeded and not results.is_too_short:
+        excesses = list(_excesses(results, exceeded, units))
+        return f'Above {_references(exceeded)}: {_joined(excesses)}.'
     if faults:
         return finding_text(faults[0], results, units)
     if not results.is_measured:
@@ -91,24 +91,24 @@ def _summary(results: Results, comparisons: Sequence[Check], units: str) -> str:
         return f'Too short to judge: {duration_text(results.duration_s, 3)} at rest.'
     if not comparisons:
         return quality(results)
-    unsettled = [c for c in comparisons if c.verdict == 'undecided']
-    if not unsettled:
+    undecided = [c for c in comparisons if c.verdict == 'undecided']
+    if not undecided:
         return f'All {len(comparisons)} numbers are within {_references(comparisons)}.'
     terms: dict[str, list[str]] = {}
-    for c in unsettled:
+    for c in undecided:
         terms.setdefault(c.quantity, []).append(c.axis)
-    named = [f'{term} of {_axes_text(axes, results)}' for term, axes in terms.items()]
+    term_texts = [f'{term} of {_axes_text(axes, results)}' for term, axes in terms.items()]
     return (
-        f'{len(comparisons) - len(unsettled)} of {len(comparisons)} numbers are within '
-        f'{_references(comparisons)}, none is above; undecided: {_joined(named)}.'
+        f'{len(comparisons) - len(undecided)} of {len(comparisons)} numbers are within '
+        f'{_references(comparisons)}, none is above; undecided: {_joined(term_texts)}.'
     )
 
 
 def quality(results: Results) -> str:
     """Return a sentence on the precision of N, B and K: 'N to 0.4 %, B to 8 %, K needs 3 h.'
 
-    The percentage is half the width of the 95 % interval relative to the value, on the axis where
-    this ratio is largest.
+    A percentage is half the width of the 95 % interval relative to the value, on the axis with the
+    largest such ratio.
     """
     if not any(c.ci95 or c.upper95 for a in results.axes.values() for c in a.fit.noise.values()):
         return f'Method {results.method} gives no intervals.'
@@ -117,17 +117,21 @@ def quality(results: Results) -> str:
     needs: list[str] = []
     limits: list[str] = []
     for term in ADVISED_TERMS:
-        known = [axis.fit.noise[term] for axis in results.axes.values()]
+        coefficients = [axis.fit.noise[term] for axis in results.axes.values()]
         widths = [
             (c.ci95[1] - c.ci95[0]) / (2.0 * c.value)
-            for c in known
+            for c in coefficients
             if c.status == 'estimated' and c.value and c.ci95
         ]
-        where = '' if len(widths) == len(known) else f' on {len(widths)} of {len(known)} axes'
-        if where and advice and term in advice[1]:
+        on_axes = (
+            ''
+            if len(widths) == len(coefficients)
+            else f' on {len(widths)} of {len(coefficients)} axes'
+        )
+        if on_axes and advice and term in advice[1]:
             needs.append(term)
         elif widths:
-            parts.append(f'{term} to {float(f"{100.0 * max(widths):.2g}"):g} %{where}')
+            parts.append(f'{term} to {float(f"{100.0 * max(widths):.2g}"):g} %{on_axes}')
         else:
             limits.append(term)
     if advice and needs:
@@ -142,22 +146,23 @@ def _references(comparisons: Sequence[Check]) -> str:
     return _joined(list(dict.fromkeys(c.reference for c in comparisons)))
 
 
-def _excesses(results: Results, beyond: Sequence[Check], units: str) -> Iterator[str]:
+def _excesses(results: Results, exceeded: Sequence[Check], units: str) -> Iterator[str]:
     groups: dict[tuple[str, str, float | None], list[Check]] = {}
-    for c in beyond:
+    for c in exceeded:
         groups.setdefault((sensor_of(c.axis), c.quantity, c.tau), []).append(c)
     for (sensor, term, tau), group in groups.items():
         unit = shown_unit(sensor, 'B' if tau else term, units)
-        where = _axes_text([c.axis for c in group], results)
+        axes_text = _axes_text([c.axis for c in group], results)
         ratios = [c.at_least for c in group]
-        times = dict.fromkeys(f'{ratio:.2g}' for ratio in (min(ratios), max(ratios)))
+        ratio_texts = dict.fromkeys(f'{each:.2g}' for each in (min(ratios), max(ratios)))
         limit = significant(max(c.limit for c in group) * unit.factor, 3)
-        what = f'deviation at {significant(tau, 2)} s' if tau else term
-        yield f'{what} of {where} (at least {" to ".join(times)} times {limit} {unit.name})'
+        quantity = f'deviation at {significant(tau, 2)} s' if tau else term
+        ratio = ' to '.join(ratio_texts)
+        yield f'{quantity} of {axes_text} (at least {ratio} times {limit} {unit.name})'
 
 
 def warnings_and_errors(results: Results) -> list[Finding]:
-    """Return the warnings and errors, one for each cause."""
+    """Return the warnings and errors; equal findings of several axes are merged."""
     return [found for found in grouped(results.findings) if found.severity != 'info']
 
 
@@ -168,8 +173,8 @@ def _steps(results: Results, comparisons: Sequence[Check]) -> Iterator[str]:
         if finding.severity != 'info' and finding.id not in NO_STEP:
             remedies.setdefault(texts_of(finding).remedy, []).extend(finding.axes)
     for remedy, axes in remedies.items():
-        where = f' ({_axes_text(axes, results)})' if axes else ''
-        yield f'{remedy.rstrip(".")}{where}.'
+        axes_text = f' ({_axes_text(axes, results)})' if axes else ''
+        yield f'{remedy.rstrip(".")}{axes_text}.'
     advice = results.time_to_record
     if advice is not None:
         seconds, terms = advice
@@ -186,7 +191,7 @@ def _steps(results: Results, comparisons: Sequence[Check]) -> Iterator[str]:
 
 
 def further_steps(results: Results, verdict: Verdict) -> list[str]:
-    """Return the next steps of a verdict that are not remedies of its findings."""
+    """Return the next steps of a verdict that are not remedies of findings in ``results``."""
     remedies = tuple(r for f in results.findings if (r := texts_of(f).remedy.rstrip('.')))
     return [step for step in verdict.next_steps if not step.startswith(remedies)]
 
@@ -194,10 +199,11 @@ def further_steps(results: Results, verdict: Verdict) -> list[str]:
 def findings_and_notes(results: Results) -> tuple[list[Finding], list[Finding]]:
     """Return the findings that affect the data or the numbers, and the notes.
 
-    Equal findings of several axes are merged. Both are in the order of their consequence.
+    Equal findings of several axes are merged. Both lists begin with the findings that affect the
+    user most (`by_consequence`).
     """
-    found = grouped(results.findings)
-    return [f for f in found if not is_note(f)], [f for f in found if is_note(f)]
+    findings = grouped(results.findings)
+    return [f for f in findings if not is_note(f)], [f for f in findings if is_note(f)]
 
 
 def finding_text(finding: Finding, results: Results, units: str) -> str:
@@ -219,10 +225,10 @@ def _axes_text(axes: Sequence[str], results: Results) -> str:
     if set(axes) >= set(results.axes):
         return 'all axes'
     words: list[str] = []
-    for sensor, where in SENSORS.items():
-        have = [axis for axis in AXES[where] if axis in results.axes]
-        named = [axis for axis in AXES[where] if axis in axes]
-        words += [sensor] if len(named) == len(have) > 1 else map(_axis, named)
+    for sensor, rows in SENSORS.items():
+        present_axes = [axis for axis in AXES[rows] if axis in results.axes]
+        named_axes = [axis for axis in AXES[rows] if axis in axes]
+        words += [sensor] if len(named_axes) == len(present_axes) > 1 else map(_axis, named_axes)
     return ', '.join(words)
 
 
@@ -231,7 +237,7 @@ def _joined(words: Sequence[str]) -> str:
 
 
 REPORTED_LEFT_OUT = 0.01
-"""Fraction of unused samples above which the number of received samples is also shown."""
+"""Fraction of unused samples from which the number of received samples is shown, too."""
 
 
 def used_samples(results: Results) -> str:

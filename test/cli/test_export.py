@@ -90,7 +90,7 @@ def test_wrong_units_are_not_silent(tmp_path: Path, capsys: pytest.CaptureFixtur
         (['export', '{results}'], 'give a results.json or its folder'),
         (['export', '/no/such.json', '--to', 'kalibr'], 'no such file'),
         (['export', '{results}', '--to', 'temperature'], 'no bias over temperature'),
-        (['export', '{results}', '--to', 'klibr'], 'Known are kalibr, openvins'),
+        (['export', '{results}', '--to', 'klibr'], 'The targets are kalibr, openvins'),
         (
             ['export', '{recording}', '--to', 'kalibr'],
             'is not a JSON document; `allan analyze` reads',

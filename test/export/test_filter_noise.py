@@ -206,7 +206,7 @@ def test_factors_in_motion_reach_every_computed_file(
 def test_factors_in_motion_are_refused_if_they_are_not_known(results: Results) -> None:
     with pytest.raises(AllanError, match='no factor in motion; analyze a recording'):
         make_export(results, 'kalibr', ExportOptions(motion=True))
-    with pytest.raises(AllanError, match='inflate and motion are two factors'):
+    with pytest.raises(AllanError, match='inflate and motion both multiply'):
         ExportOptions(inflate='gyro=2', motion=True)
 
 

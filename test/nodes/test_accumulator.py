@@ -207,7 +207,7 @@ def test_a_looped_recording_counts_once(graph, still_imu, tmp_path: Path):
     batch = still_imu(2000)
     graph.send(publisher, batch)
     graph.send(publisher, batch)
-    repeated = '2,000 samples were not counted'
+    repeated = '2,000 samples were excluded'
     graph.until(lambda: repeated in str(graph.value('input', 'finding: time_repeated')))
     used(graph, 2000)
     assert graph.status('input').level == OK
@@ -271,7 +271,7 @@ def test_simulated_time_that_is_set_back_keeps_the_data(graph, still_imu, tmp_pa
         clock.publish(now)
         graph.send(publisher, batch)
     repeated = int(np.count_nonzero(after.stamps_ns <= before.stamps_ns[-1]))
-    counted = f'{repeated} samples were not counted'
+    counted = f'{repeated} samples were excluded'
     graph.until(lambda: counted in str(graph.value('input', 'finding: time_repeated')))
     used(graph, 12_000 - repeated)
     graph.until(lambda: abs(float(graph.value('input', 'stamp age') or 99)) < 1.0)

@@ -156,7 +156,7 @@ def test_a_value_that_an_operator_changes_is_left_as_it_is(graph, pushing):
     slow.density = 0.5
     part = node._parts[-1]
     part._due_at = 0.0
-    assert 'density was changed to 0.5' in said(graph, 'left so').message.replace(':', '')
+    assert 'density was changed to 0.5' in said(graph, 'not set any more').message.replace(':', '')
     graph.call('/allan_monitor/reset')
     graph.spin(1.5)
     assert slow.density == 0.5

@@ -249,8 +249,8 @@ def test_the_log_of_a_database_is_read_and_no_file_created(
             ('message_count: 9', f'message_count: {count}', 'remove it to read')
             for count in ('.inf', '.nan', '-1', 'true', '1e3', '"12"', '9' * 400)
         ),
-        (': cdr', ': "\\x1b[2J"', 'not a printable text'),
-        (': sensor_msgs/msg/Imu', ': "\\x1b[2J"', 'not a printable text'),
+        (': cdr', ': "\\x1b[2J"', 'contains unprintable characters'),
+        (': sensor_msgs/msg/Imu', ': "\\x1b[2J"', 'contains unprintable characters'),
     ],
 )
 def test_invalid_metadata_is_rejected(right: str, wrong: str, says: str, tmp_path: Path) -> None:

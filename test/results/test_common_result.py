@@ -59,7 +59,7 @@ def test_findings_of_each_recording_are_part_of_the_result(three: list[ImuBatch]
     (opposite,) = (f for f in common.findings['B'] if f.id == 'axis_opposite')
     assert opposite.axes == ('gyro_y',)
     assert not any('axis_opposite' in ids[label] for label in 'AC')
-    assert 'error: B: gyro_y: The axis points opposite to' in repr(common)
+    assert 'error: B: gyro_y: The direction of this axis is opposite to' in repr(common)
     assert {f['id'] for f in common.document()['findings']['B']} == ids['B']
 
 
@@ -73,7 +73,7 @@ def test_a_delay_leaves_no_own_noise_and_a_factor_is_shown(three: list[ImuBatch]
     )
     delayed = ar.common(first, second, third)
     assert all(row.own is None and row.measured is not None for row in delayed.rows)
-    assert 'do not measure the common noise equally' in repr(delayed)
+    assert 'measure the common noise differently' in repr(delayed)
     larger = ImuBatch(three[1].stamps_ns, three[1].samples * 1.5)
     scaled = ar.common(three[0], larger, three[2])
     assert 'factor' in repr(scaled)
@@ -165,7 +165,10 @@ def test_wrong_inputs_are_rejected(three: list[ImuBatch], tmp_path: Path) -> Non
     gyro = {'gyro_x': np.random.default_rng(3).normal(scale=1e-3, size=3000)}
     accel = {'accel_x': np.random.default_rng(4).normal(scale=1e-2, size=3000)}
     for wrong, why in (
-        (lambda: ar.common(gyro, accel, rate=100), 'A has gyro_x; B has accel_x: choose topics'),
+        (
+            lambda: ar.common(gyro, accel, rate=100),
+            'at rest of gyro_x; B has data at rest of accel_x: choose topics',
+        ),
         (lambda: ar.common(gyro, rate=100), 'no two axes to compare'),
         (ar.common, 'no recording is given'),
         (lambda: ar.common(tmp_path / 'missing.mcap'), 'missing.mcap'),

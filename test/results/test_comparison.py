@@ -106,7 +106,7 @@ def test_runs_without_numbers(small_results: Results) -> None:
         for name, axis in small_results.axes.items()
     }
     empty = replace(small_results, axes=axes)
-    assert text_of(compared(empty, empty)) == 'b and a have nothing that can be compared'
+    assert text_of(compared(empty, empty)) == 'b and a have no quantity that can be compared'
 
 
 def test_labels_are_short_if_they_are_unique() -> None:

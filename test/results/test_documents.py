@@ -224,7 +224,7 @@ class Kind(NamedTuple):
         ({'size': -1.0}, 'x.size is -1.0: a number of at least 0'),
         ({'size': None}, 'x.size is None: a number'),
         ({'limit': 'a'}, "x.limit is 'a'"),
-        ({'ends': [1.0]}, 'x.ends is a list of 1: a pair'),
+        ({'ends': [1.0]}, 'x.ends is a list of length 1: a pair'),
     ],
 )
 def test_a_record_is_read_by_the_types_of_its_fields(change, message):

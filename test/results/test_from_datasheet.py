@@ -136,7 +136,7 @@ def test_the_catalogue_names_who_measured(capsys: pytest.CaptureFixture[str]) ->
     assert main(['sensors', 'adis16405']) == 0
     shown = capsys.readouterr().out
     assert 'measured by Department of Geomatics Engineering, University of Calgary' in shown
-    assert 'gyro N 2.43 (2.25..2.56) deg/sqrt(h), 1.2 of the datasheet' in shown
+    assert 'gyro N 2.43 (2.25..2.56) deg/sqrt(h), 1.2 times the datasheet' in shown
 
 
 def test_the_command_exports_from_a_datasheet(

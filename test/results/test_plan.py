@@ -209,7 +209,7 @@ def test_each_datasheet_gives_a_plan(name: str) -> None:
         ({'rate': {'lower': 3, 'upper': 2, 'unit': 'Hz'}}, 'lower is above upper'),
         ({'rate': {'lower': 3, 'unit': 's'}}, "unit 's' cannot be used here: use one of 'Hz'"),
         ({'gyro': {'temperature_drift': {'upper': 3, 'unit': 'deg/s'}}}, 'use one of rad/s/K'),
-        ({'orientation': {'up': [0, 0, 0], 'upper': 1, 'unit': 'deg'}}, 'is no direction'),
+        ({'orientation': {'up': [0, 0, 0], 'upper': 1, 'unit': 'deg'}}, 'is not a direction'),
         ({'orientation': None}, 'needs orientation.up'),
         ({'schema': 'allan_ros/plan/9'}, 'schema is'),
     ],

@@ -49,7 +49,7 @@ def test_the_truth_file_is_exact(tmp_path):
         ('noise: {gyros: {N: 1}}', "'gyros' is unknown, use gyro, accel, gyro_x"),
         ('noise: {gyro: {n: 1}}', r"gyro: 'n' is unknown, use Q, N, B, K, R"),
         ('noise: {gyro: {N: -1}}', r'gyro: N is -0.0002\d*: give a finite number of 0 or above'),
-        ('noise: {gyro: {N: .inf}}', r'gyro.N is a number beyond 1.8e308: a number within'),
+        ('noise: {gyro: {N: .inf}}', r'gyro.N is a number beyond 1.8e308: a number from'),
         ('noise: {gyro: {N: {value: 1}}}', r'gyro.N: unit is missing'),
         ('noise: {gyro: {N: {value: 1, unit: ug}}}', r"gyro.N: unit 'ug' cannot be used here"),
         ('noise: {gyro: 3}', r'gyro is 3: an object is expected'),

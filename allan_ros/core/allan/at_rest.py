@@ -33,8 +33,9 @@ HALF_POWER = 0.5
 """Power at the upper end of the bandwidth, relative to the power of the white noise (-3 dB)."""
 
 SMOOTHED_BINS, LEAST_DOF = 5, 40.0
-"""Number of neighboring bins of which the median is taken, and fewest degrees of freedom of such a
-bin. The median of white noise is then below `HALF_POWER` with a probability of 1e-6."""
+"""Number of neighboring bins of which the median power is taken, and fewest degrees of freedom of
+each of these bins. The median power of white noise is then below `HALF_POWER` with a probability of
+1e-6."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +57,7 @@ class AtRest:
         fewer than four means.
     bandwidth : float or None
         Frequency in Hz up to which the noise density is at least 0.71 N; half of the sample rate if
-        there is no low-pass filter. None if N or the spectrum is unknown, or if the density is
+        the density is nowhere lower. None if N or the spectrum is unknown, or if the density is
         below 0.71 N already at the lowest frequencies.
     """
 
@@ -87,22 +88,22 @@ def at_rest(
     -------
     dict of axis to AtRest
     """
-    weights = np.array([one.samples for one in sums.recordings], float)
-    mean = weights @ np.array([one.mean for one in sums.recordings]) / weights.sum()
+    sample_counts = np.array([one.samples for one in sums.recordings], float)
+    mean = sample_counts @ np.array([one.mean for one in sums.recordings]) / sample_counts.sum()
     begin_ns, length_ns, means = _block_means(sums)
-    heat = np.full(len(means), np.nan)
+    block_celsius = np.full(len(means), np.nan)
     if len(celsius) > 1 and len(means):
-        inside = begin_ns[:, None] + length_ns * (np.arange(8) + 0.5) / 8.0
-        heat = np.interp(inside, time_ns, celsius, np.nan, np.nan).mean(axis=1)
-    known, spectra = np.isfinite(heat), pooled_spectra(sums)
-    temperature = float(heat[known].mean()) if known.any() else None
-    found = {}
+        times_in_blocks = begin_ns[:, None] + length_ns * (np.arange(8) + 0.5) / 8.0
+        block_celsius = np.interp(times_in_blocks, time_ns, celsius, np.nan, np.nan).mean(axis=1)
+    has_temperature, spectra = np.isfinite(block_celsius), pooled_spectra(sums)
+    temperature = float(block_celsius[has_temperature].mean()) if has_temperature.any() else None
+    results = {}
     for i, axis in enumerate(sums.axes):
         drift = float(np.ptp(means[:, i])) if len(means) > 1 else None
-        slope = _slope(heat[known], means[known, i])
+        slope = _slope(block_celsius[has_temperature], means[has_temperature, i])
         bandwidth = _bandwidth(spectra, i, white.get(axis), sums.tau0)
-        found[axis] = AtRest(float(mean[i]), drift, temperature, slope, bandwidth)
-    return found
+        results[axis] = AtRest(float(mean[i]), drift, temperature, slope, bandwidth)
+    return results
 
 
 @dataclass(frozen=True)
@@ -117,10 +118,10 @@ class TurnOnBias:
         Mean of the biases of the recordings (the means of their samples), in the unit of the
         samples.
     scatter : Estimate
-        Standard deviation of the biases, after the variance of the noise was subtracted. It is not
-        resolved if the noise alone may explain the scatter. It then has an upper limit, except if
-        the scatter is improbably small even for the noise alone. The interval assumes normally
-        distributed biases.
+        Standard deviation of the biases, after the variance of the noise was subtracted. The
+        standard deviation is not resolved if the noise alone may explain the differences of the
+        means. In that case there is only an upper limit, and none if the differences are improbably
+        small even for the noise alone. The interval assumes normally distributed biases.
     """
 
     recordings: int
@@ -137,9 +138,9 @@ def turn_on_bias(means: Floats, variance: float = 0.0) -> TurnOnBias | None:
         Mean of each recording, in the unit of the samples.
     variance : float
         Variance of the means due to noise, in the squared unit of the samples: the Allan variance
-        at the length of the recordings. It is half of the mean squared difference of the means of
-        two recordings that follow each other without a break. For white noise, this is the variance
-        of each mean.
+        at an averaging time as long as a recording. This Allan variance is half of the mean squared
+        difference of the means of two recordings that follow each other without a break. For white
+        noise, it is the variance of each mean.
 
     Returns
     -------
@@ -148,77 +149,82 @@ def turn_on_bias(means: Floats, variance: float = 0.0) -> TurnOnBias | None:
     """
     from scipy.special import chdtrc, chdtri
 
-    free = len(means) - 1
-    if free < 1:
+    degrees = len(means) - 1
+    if degrees < 1:
         return None
     total = float(np.var(means, ddof=1))
-    low, high = (total * free / quantile for quantile in chdtri(free, [0.025, 0.975]))
-    center, ends = float(np.mean(means)), [math.sqrt(max(v - variance, 0.0)) for v in (low, high)]
-    if total <= variance or (variance and chdtrc(free, free * total / variance) > 0.01):
-        limit = Estimate(None, None, ends[1] or None, 'not_observable')
+    low, high = (total * degrees / quantile for quantile in chdtri(degrees, [0.025, 0.975]))
+    center = float(np.mean(means))
+    scatter_limits = [math.sqrt(max(v - variance, 0.0)) for v in (low, high)]
+    if total <= variance or (variance and chdtrc(degrees, degrees * total / variance) > 0.01):
+        limit = Estimate(None, None, scatter_limits[1] or None, 'not_observable')
         return TurnOnBias(len(means), center, limit)
-    scatter = Estimate(math.sqrt(total - variance), (ends[0], ends[1]))
+    scatter = Estimate(math.sqrt(total - variance), (scatter_limits[0], scatter_limits[1]))
     return TurnOnBias(len(means), center, scatter)
 
 
 def _block_means(sums: AllanSums) -> tuple[Floats, float, Floats]:
-    """Return the begin of each block in ns, the length of a block in ns, and (blocks, axes) means.
+    """Return the start of each block in ns, the length of a block in ns, and (blocks, axes) means.
 
-    The length is a power of two times the sample period, and gives at most `DRIFT_BLOCKS` blocks.
+    The length in samples is a power of two, for which there are at most `DRIFT_BLOCKS` blocks.
     """
-    kept = [(one, m) for one in sums.recordings for m in one.means]
-    step = max((m.step for _, m in kept), default=1)
-    while sum(m.samples // step for _, m in kept) > DRIFT_BLOCKS:
+    recorded_means = [(one, m) for one in sums.recordings for m in one.means]
+    step = max((m.step for _, m in recorded_means), default=1)
+    while sum(m.samples // step for _, m in recorded_means) > DRIFT_BLOCKS:
         step *= 2
     length_ns = step * (sums.tau0 or 0.0) * 1e9
     begins: list[Floats] = [np.zeros(0)]
     means: list[Floats] = [np.zeros((0, len(sums.axes)))]
-    for one, m in kept:
+    for one, m in recorded_means:
         values = m.coarser(step).values + one.reference
         begins.append(m.start_ns + length_ns * np.arange(len(values), dtype=float))
         means.append(values)
     return np.concatenate(begins), length_ns, np.concatenate(means)
 
 
-def _slope(heat: Floats, values: Floats) -> Estimate | None:
+def _slope(celsius: Floats, values: Floats) -> Estimate | None:
     """Return the change of the ``values`` per K, by least squares; None if it is unknown.
 
-    ``heat`` are the temperatures. The residuals are correlated in time: the interval assumes a
-    first-order autoregressive process with the correlation of neighboring residuals.
+    ``celsius`` are the temperatures of the values in degC. The interval takes into account that the
+    residuals are correlated in time: it assumes a first-order autoregressive process with the
+    measured correlation of neighboring residuals.
     """
-    n = len(heat)
-    if n < 4 or float(np.ptp(heat)) < LEAST_SLOPE_RANGE_K:
+    n = len(celsius)
+    if n < 4 or float(np.ptp(celsius)) < LEAST_SLOPE_RANGE_K:
         return None
-    x, y = heat - heat.mean(), values - values.mean()
+    x, y = celsius - celsius.mean(), values - values.mean()
     slope = float(x @ y / (x @ x))
-    rest = y - slope * x
-    power = float(rest @ rest)
-    lag_one = min(max(float(rest[1:] @ rest[:-1]) / power, 0.0), 0.9) if power else 0.0
-    error = math.sqrt(power / (n - 2) / float(x @ x) * (1.0 + lag_one) / (1.0 - lag_one))
+    residuals = y - slope * x
+    sum_sq = float(residuals @ residuals)
+    lag_one = min(max(float(residuals[1:] @ residuals[:-1]) / sum_sq, 0.0), 0.9) if sum_sq else 0.0
+    error = math.sqrt(sum_sq / (n - 2) / float(x @ x) * (1.0 + lag_one) / (1.0 - lag_one))
     return Estimate.normal(slope, error)
 
 
 def _bandwidth(spectra: Spectra, i: int, white: float | None, tau0: float | None) -> float | None:
-    """Return the frequency in Hz up to which the power is at least half of the white noise."""
+    """Return the frequency in Hz up to which the power is at least half of the white noise.
+
+    ``i`` is the index of the axis, and ``white`` is N. Returns None if this frequency is unknown.
+    """
     if not white or not tau0:
         return None
     steps = np.array([octave(o).step for o in range(spectra.octaves)], float)
-    some = spectra.dof >= LEAST_DOF
-    order = np.argsort(spectra.f[some], kind='stable')
-    f = spectra.f[some][order]
+    is_precise = spectra.dof >= LEAST_DOF
+    order = np.argsort(spectra.f[is_precise], kind='stable')
+    f = spectra.f[is_precise][order]
     # the power of means over `step` samples is the power of the samples divided by `step`
-    power = (spectra.power[some, i] * steps[spectra.octave[some]])[order]
+    power = (spectra.power[is_precise, i] * steps[spectra.octave[is_precise]])[order]
     if len(f) < SMOOTHED_BINS:
         return None
     windows = np.lib.stride_tricks.sliding_window_view(power, SMOOTHED_BINS)
     relative = np.median(windows, axis=1) / (white**2 / tau0)
-    middle = f[SMOOTHED_BINS // 2 : len(f) - SMOOTHED_BINS // 2]
-    (lost,) = np.nonzero(relative < HALF_POWER)
-    if not len(lost):
+    center_f = f[SMOOTHED_BINS // 2 : len(f) - SMOOTHED_BINS // 2]
+    (low_bins,) = np.nonzero(relative < HALF_POWER)
+    if not len(low_bins):
         return 0.5 / tau0
-    if lost[0] == 0:
+    if low_bins[0] == 0:
         return None
-    last = int(lost[0]) - 1
-    low, high = (math.log(max(r, 1e-30)) for r in relative[last : last + 2])
-    share = (low - math.log(HALF_POWER)) / (low - high)
-    return float(middle[last] * (middle[last + 1] / middle[last]) ** share) / tau0
+    last = int(low_bins[0]) - 1
+    log_before, log_after = (math.log(max(r, 1e-30)) for r in relative[last : last + 2])
+    share = (log_before - math.log(HALF_POWER)) / (log_before - log_after)
+    return float(center_f[last] * (center_f[last + 1] / center_f[last]) ** share) / tau0

@@ -4,19 +4,20 @@
 
 Algorithm
 ---------
-A point of level j is the sum of 2^j samples. When a block of some thousand points is full:
+A point of level j is the sum of 2^j samples. When a block of 512 to 4096 points is full:
 
 - the second differences that end in the block are squared and summed, at the averaging factors of
   the level,
 - the power of the spectral blocks that end in the block is added,
-- the sums of each two points are passed to level j + 1.
+- the sum of each pair of points is passed to level j + 1.
 
 Blocks are counted from the start of the segment, so the sums are the same, bit for bit, for any
 chunking of the samples.
 
 A second difference of the phase (the cumulative sum of the samples) is the difference of the sums
-over neighboring points. Source: IEEE Std 952-1997 annex C; NIST SP 1065 eq. 11 (overlapping Allan
-variance). To avoid rounding errors, the first sample of the segment is subtracted from all samples.
+of m points and of the next m points. Source: IEEE Std 952-1997 annex C; NIST SP 1065 eq. 11
+(overlapping Allan variance). To avoid rounding errors, the first sample of the segment is
+subtracted from all samples.
 """
 
 from __future__ import annotations
@@ -40,13 +41,13 @@ Ints = NDArray[np.int64]
 
 FIRST_BLOCK, BLOCK = 512, 4096
 """Smallest and largest number of points of a block of level 0. The blocks of a segment have 512,
-512, 1024, 2048, 4096, 4096 ... points. Long blocks reduce the share of the overhead of numpy calls,
-and 4096 points still fit into the cache. Blocks of higher levels have at most half as many points,
-because their sums are then located more accurately in time."""
+512, 1024, 2048, 4096, 4096 ... points. In long blocks, the overhead of numpy calls is small, and
+4096 points still fit into the cache. Blocks of higher levels have at most 2048 points, so that the
+time of their sums is known more accurately."""
 
 MAX_INTERPOLATED = 0.75
 """Largest share of interpolated samples in a spectral block; a block with a larger share, as during
-a shock, is excluded. The fit takes the effect of shorter gaps into account."""
+a shock, is excluded. The fit takes the interpolated samples in other blocks into account."""
 
 _KEPT = 32
 """Number of points of the previous blocks that a level keeps. The longest second difference needs
@@ -62,7 +63,7 @@ class CascadeLevel:
     stride: int  # samples per point
     block: int  # largest number of points per block
     factors: tuple[int, ...]  # averaging factors in units of the stride
-    groups: tuple[range, ...]  # octaves with equal numbers of bins
+    groups: tuple[range, ...]  # groups of octaves; the octaves of a group have equally many bins
 
     @property
     def octaves(self) -> list[int]:
@@ -72,7 +73,7 @@ class CascadeLevel:
 
 @lru_cache
 def level_of(j: int) -> CascadeLevel:
-    """Return factors and octaves of level j."""
+    """Return the averaging factors and the octaves of level j."""
     if j == 0:
         groups = range(1), range(1, SAMPLE_OCTAVES)
         return CascadeLevel(1, BLOCK, FIRST_FACTORS + LEVEL_FACTORS, groups)
@@ -105,12 +106,12 @@ class LevelSums:
 
     @property
     def arrays(self) -> tuple[Ints, Floats, Ints, Floats, Ints, Ints, Floats]:
-        """Separate arrays of counts and values.
+        """The counts and values as separate arrays.
 
-        They are number, (factors,), and sum of squares, (factors, axes), of the second differences;
-        number, (factors,), and sum of squares, (factors, axes), of the non-overlapping differences;
-        number of spectral blocks, (octaves,); number of pairs of overlapping spectral blocks,
-        (octaves,); and power, (bins, axes).
+        The arrays are, in this order: the number, (factors,), and the sum of squares, (factors,
+        axes), of the second differences; the number, (factors,), and the sum of squares, (factors,
+        axes), of the non-overlapping differences; the number of spectral blocks, (octaves,); the
+        number of pairs of overlapping spectral blocks, (octaves,); and the power, (bins, axes).
         """
         n = len(level_of(self.level).factors)
         m = (len(self.counts) - 2 * n) // 2
@@ -125,8 +126,8 @@ class Block:
 
     begin: int  # index of the first sample of the block in the segment
     sums: LevelSums
-    # level 0: samples of the block minus the reference, (axes + 1, n); the last row is 1 for
-    # interpolated samples, else 0. Empty at higher levels
+    # samples of a block of level 0 minus the reference, (axes + 1, n); the last row is 1 for
+    # interpolated samples, else 0. The array is empty for a block of a higher level
     samples: Floats
 
 
@@ -134,23 +135,26 @@ class Block:
 def _half_tapers(o: int, kind: str) -> Floating:
     """Return the tapers of both halves of a block, (half a block, 4 bins).
 
-    The columns are the real parts, then the imaginary parts of the first half, then the same for
-    the second half. All are divided by the number of samples per mean, because they are multiplied
-    by sums instead of means.
+    There are four columns for each bin: first the real parts in the first half of the block for all
+    bins, then the imaginary parts in the first half, the real parts in the second half, and the
+    imaginary parts in the second half. The tapers are divided by the number of samples per mean,
+    because they are multiplied by sums instead of means.
     """
     step, size, bins = octave(o)
-    halves = np.split(tapers(size, bins).T / step, 2)
-    return np.concatenate([f(h) for h in halves for f in (np.real, np.imag)], axis=1).astype(kind)
+    half_tapers = np.split(tapers(size, bins).T / step, 2)
+    columns = [part(half) for half in half_tapers for part in (np.real, np.imag)]
+    return np.concatenate(columns, axis=1).astype(kind)
 
 
 @dataclass(frozen=True)
 class _HalfBlocks:
     """Last half block of each octave of a group, which is also the first half of the next block."""
 
-    early: Floating  # (octaves, axes, 2 bins) products with the tapers of the first half
+    # (octaves, axes, 2 bins) products of the points with the tapers of the first half of a block
+    early: Floating
     # (octaves,) number of interpolated samples in the half block; infinite before the first sample
     interpolated: Floats
-    used: Flags  # (octaves,) whether the block that ends with the half block is not excluded
+    used: Flags  # (octaves,) whether the block that ends with the half block was not excluded
 
     @classmethod
     def none(cls, octaves: range, axes: int, kind: str) -> _HalfBlocks:
@@ -168,29 +172,29 @@ class _Rows(NamedTuple):
 
     octave: int
     half: int  # samples per half block
-    number: int  # half blocks of each axis
-    begin: int
-    end: int
+    number: int  # number of half blocks of each axis
+    begin: int  # first row of the octave
+    end: int  # row after the last row of the octave
 
 
 class _Layout(NamedTuple):
-    """Rows of the half blocks of a group of octaves in n samples or sums."""
+    """Rows of the half blocks of a group of octaves in n samples or in n sums over samples."""
 
     octaves: list[_Rows]  # without the octaves whose half blocks are longer than n
     firsts: Ints  # (octaves * axes,) row of the first half block
-    lasts: Ints  # (octaves * axes,)
+    lasts: Ints  # (octaves * axes,) row of the last half block
 
 
 @lru_cache(256)
 def _layout(octaves: range, axes: int, n: int) -> _Layout:
-    """Return the rows of each octave in n samples or sums."""
+    """Return the rows of the half blocks in n samples or in n sums over samples."""
     rows: list[_Rows] = []
     for o in octaves:
         half, begin = octave(o).size // 2, rows[-1].end if rows else 0
         if number := n // half:
             rows.append(_Rows(o, half, number, begin, begin + axes * number))
-    places = [np.zeros(0, np.int64), *(np.arange(r.begin, r.end, r.number) for r in rows)]
-    firsts = np.concatenate(places)
+    first_rows = [np.zeros(0, np.int64), *(np.arange(r.begin, r.end, r.number) for r in rows)]
+    firsts = np.concatenate(first_rows)
     return _Layout(rows, firsts, firsts + np.repeat([r.number - 1 for r in rows], axes))
 
 
@@ -200,14 +204,15 @@ class _GroupSums(NamedTuple):
     power: Floats  # (bins of all octaves, axes)
     blocks: list[int]  # number of blocks of each octave
     pairs: list[int]  # number of pairs of overlapping blocks of each octave
-    last: _HalfBlocks
+    last: _HalfBlocks  # the last half block of each octave
 
 
 class _RunningLevel:
-    """Points of one level of the current segment that are not in a sum yet.
+    """State of one level for the current segment: its latest points and half blocks.
 
     ``points`` contains the last `_KEPT` points of earlier blocks, then the first ``fill`` points of
-    the current block. The rows are the axes; the last row is the number of interpolated samples.
+    the current block. There is one row for each axis. The last row contains the number of
+    interpolated samples in each point.
     """
 
     def __init__(self, level: int, rows: int) -> None:
@@ -215,9 +220,9 @@ class _RunningLevel:
         self.points = aligned((rows, _KEPT + level_of(level).block))
         self.points[:] = 0.0
         self.fill = 0
-        self.summed = 0  # number of summed points
-        # float32 is precise enough for single samples: its rounding errors are much smaller than
-        # their noise. This does not hold for sums over many samples
+        self.summed = 0  # number of points in the earlier blocks
+        # for samples, the rounding errors of float32 are much smaller than the noise; for sums over
+        # many samples they are not
         self.kind = 'f8' if level else 'f4'
         self.halves = [
             _HalfBlocks.none(group, rows - 1, self.kind) for group in level_of(level).groups
@@ -253,18 +258,21 @@ class _RunningLevel:
         ``points`` are (rows, n): `_KEPT` earlier points, then the points of the block.
         """
         level = level_of(self.level)
-        squares, groups, number = _second_differences(points[:-1], self.summed, level.factors)
+        squares, group_squares, numbers = _second_differences(
+            points[:-1], self.summed, level.factors
+        )
         block = points[:, _KEPT:]
         (samples,) = _samples.arrays(self.kind, (len(block) - 1, block.shape[1]))
         with np.errstate(over='ignore', invalid='ignore'):
-            # values above 3e38 overflow float32; no sensor has them, and the fit excludes the axis
+            # samples above 3e38 overflow float32: no sensor has such samples, and the fit excludes
+            # an axis with them
             samples[...] = block[:-1]
             spectra = [
                 _group_sums(samples, block[-1], group, before)
                 for group, before in zip(level.groups, self.halves)
             ]
-        values = [*squares, *groups, *(each.power for each in spectra)]
-        counts = [*number, *(b for s in spectra for b in s.blocks)]
+        values = [*squares, *group_squares, *(each.power for each in spectra)]
+        counts = [*numbers, *(b for s in spectra for b in s.blocks)]
         counts += [p for s in spectra for p in s.pairs]
         sums = LevelSums(self.level, np.concatenate(values), np.array(counts, np.int64))
         return sums, [each.last for each in spectra]
@@ -273,10 +281,10 @@ class _RunningLevel:
 def _group_sums(
     samples: Floating, interpolated: Floats, octaves: range, before: _HalfBlocks
 ) -> _GroupSums:
-    """Return the power of a group of octaves in a series of samples or of sums, (axes, n).
+    """Return the power of a group of octaves in n samples or in n sums over samples, (axes, n).
 
     ``interpolated``, (n,), is the number of interpolated samples in each sample or sum, and
-    ``before`` are the half blocks before the first one.
+    ``before`` are the last half blocks before these samples or sums.
     """
     octave_count, axes, columns = before.early.shape
     layout, last = _layout(octaves, *samples.shape), before.copy()
@@ -285,20 +293,21 @@ def _group_sums(
     blocks, pairs = [0] * octave_count, [0] * octave_count
     squares = np.zeros(before.early.shape)
     for i, (o, half, number, begin, end) in enumerate(layout.octaves):
-        found = amplitudes[begin:end].reshape(axes, number, columns)
+        block_amplitudes = amplitudes[begin:end].reshape(axes, number, columns)
         if all_used:
             blocks[i], pairs[i] = number, number - (not before.used[i])
             last.used[i] = True
         else:
             counts = interpolated[: number * half].reshape(number, half).sum(axis=1)
             counts = np.concatenate([before.interpolated[i : i + 1], counts])
-            used = counts[:-1] + counts[1:] <= MAX_INTERPOLATED * octave(o).length
-            found = found[:, used]
-            used = np.concatenate([before.used[i : i + 1], used])  # with the previous block
-            blocks[i] = int(np.count_nonzero(used[1:]))
-            pairs[i] = int(np.count_nonzero(used[1:] & used[:-1]))
-            last.interpolated[i], last.used[i] = counts[-1], used[-1]
-        np.einsum('akc,akc->ac', found, found, out=squares[i])
+            is_used = counts[:-1] + counts[1:] <= MAX_INTERPOLATED * octave(o).length
+            block_amplitudes = block_amplitudes[:, is_used]
+            # preceded by the flag of the last block before these samples
+            is_used = np.concatenate([before.used[i : i + 1], is_used])
+            blocks[i] = int(np.count_nonzero(is_used[1:]))
+            pairs[i] = int(np.count_nonzero(is_used[1:] & is_used[:-1]))
+            last.interpolated[i], last.used[i] = counts[-1], is_used[-1]
+        np.einsum('akc,akc->ac', block_amplitudes, block_amplitudes, out=squares[i])
     power = squares[:, :, : columns // 2] + squares[:, :, columns // 2 :]
     return _GroupSums(power.transpose(0, 2, 1).reshape(-1, axes), blocks, pairs, last)
 
@@ -315,45 +324,49 @@ def _amplitudes(samples: Floating, layout: _Layout, before: Floating, last: Floa
     rows, columns, kind = layout.octaves[-1].end, before.shape[2], samples.dtype.str
     products, amplitudes = _work.arrays(kind, (rows, 2 * columns), (rows, columns))
     for o, half, number, begin, end in layout.octaves:
-        whole = samples[:, : number * half].reshape(-1, half)
-        np.matmul(whole, _half_tapers(o, kind), out=products[begin:end])
-    early, late = products[:, :columns], products[:, columns:]
+        half_blocks = samples[:, : number * half].reshape(-1, half)
+        np.matmul(half_blocks, _half_tapers(o, kind), out=products[begin:end])
+    first_half, second_half = products[:, :columns], products[:, columns:]
     # the amplitude of a block is the sum of the products of its two halves
-    np.add(early[:-1], late[1:], out=amplitudes[1:])
-    known = len(layout.octaves)
-    amplitudes[layout.firsts] = before[:known].reshape(-1, columns) + late[layout.firsts]
-    last[:known] = early[layout.lasts].reshape(known, -1, columns)
+    np.add(first_half[:-1], second_half[1:], out=amplitudes[1:])
+    octave_count = len(layout.octaves)
+    amplitudes[layout.firsts] = (
+        before[:octave_count].reshape(-1, columns) + second_half[layout.firsts]
+    )
+    last[:octave_count] = first_half[layout.lasts].reshape(octave_count, -1, columns)
     if amplitudes.itemsize == 8:
         return amplitudes
-    exact = products.view('f8')  # squares of large samples exceed float32
-    exact[...] = amplitudes
-    return exact
+    in_float64 = products.view('f8')  # squares of large samples exceed float32
+    in_float64[...] = amplitudes
+    return in_float64
 
 
 def _second_differences(
     points: Floats, summed: int, factors: tuple[int, ...]
 ) -> tuple[list[Floats], list[Floats], list[int]]:
-    """Return sums of squares of all and of non-overlapping differences, and the numbers of both.
+    """Return sums of squares of all and of non-overlapping differences, and their numbers.
 
-    ``points``, (axes, `_KEPT` + n), are earlier points, of which the last ``summed`` are in the
-    segment, and the points of a block. Only differences that end in the block are counted.
+    Each list has one element for each factor; the last list has first the numbers of all
+    differences, then the numbers of the non-overlapping ones. ``points``, (axes, `_KEPT` + n), are
+    `_KEPT` earlier points, of which only the last ``summed`` are in the segment, and the points of
+    a block. Only differences that end in the block are counted.
     """
     axes, columns = points.shape
     x = points.reshape(-1)  # operations on one long row take less time than on short ones
     d, *work = _work.arrays('f8', *3 * [x.shape])
     by_axis = d.reshape(axes, columns)
-    squares, groups, number, apart = [], [], [], []
+    squares, group_squares, numbers, group_numbers = [], [], [], []
     for f, sums in zip(factors, _sums_over(factors, x, *work)):
         first = _KEPT - min(summed, 2 * f - 1)
         end = max(columns - 2 * f + 1, first)
         size = max(x.size - 2 * f + 1, 0)
         np.subtract(sums[f : f + size], sums[:size], out=d[:size])
         squares.append(_squares(by_axis[:, first:end]))
-        number.append(end - first)
-        chosen = by_axis[:, first + -(summed - _KEPT + first) % f : end : f]
-        groups.append(_squares(chosen) if f > 1 else squares[-1])
-        apart.append(chosen.shape[1])
-    return squares, groups, number + apart
+        numbers.append(end - first)
+        non_overlapping = by_axis[:, first + -(summed - _KEPT + first) % f : end : f]
+        group_squares.append(_squares(non_overlapping) if f > 1 else squares[-1])
+        group_numbers.append(non_overlapping.shape[1])
+    return squares, group_squares, numbers + group_numbers
 
 
 def _sums_over(
@@ -382,7 +395,7 @@ def _squares(d: Floats) -> Floats:
 
 
 class Cascade:
-    """Cascade of the current segment.
+    """All levels of the cascade for the current segment.
 
     Parameters
     ----------
@@ -422,21 +435,22 @@ class Cascade:
             points = level.current
             if j + 1 == len(self._levels):
                 self._levels.append(_RunningLevel(j + 1, len(points)))
-            half = self._levels[j + 1].extend(level.fill // 2)
-            np.add(points[:, ::2], points[:, 1::2], out=half)
+            pair_sums = self._levels[j + 1].extend(level.fill // 2)
+            np.add(points[:, ::2], points[:, 1::2], out=pair_sums)
             yield Block(level.summed << j, level.close(), points[:, :0] if j else points)
 
     def open_blocks(self) -> Iterator[Block]:
         """Yield the blocks that are not full, as if the segment ended; the state is unchanged."""
-        new = self._levels[0].points[:, :0]  # points from the open block of the level below
+        # points from the open block of the level below
+        new_points = self._levels[0].points[:, :0]
         for j in itertools.count():
-            if j >= len(self._levels) and not new.shape[1]:
+            if j >= len(self._levels) and not new_points.shape[1]:
                 return
-            level = self._levels[j] if j < len(self._levels) else _RunningLevel(j, len(new))
-            points = np.concatenate([level.points[:, : _KEPT + level.fill], new], axis=1)
+            level = self._levels[j] if j < len(self._levels) else _RunningLevel(j, len(new_points))
+            points = np.concatenate([level.points[:, : _KEPT + level.fill], new_points], axis=1)
             block = points[:, _KEPT:]
             if block.shape[1]:
                 sums = level.sums_of(points)[0]
                 yield Block(level.summed << j, sums, block[:, :0] if j else block)
-            even = block[:, : block.shape[1] // 2 * 2]
-            new = even[:, ::2] + even[:, 1::2]
+            paired_points = block[:, : block.shape[1] // 2 * 2]
+            new_points = paired_points[:, ::2] + paired_points[:, 1::2]

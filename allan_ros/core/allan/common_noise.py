@@ -5,7 +5,7 @@
 Method
 ------
 The Allan covariance of two sensors a and b is (V(a) + V(b) - V(a - b)) / 2, where V is the Allan
-variance of the samples of a sensor, or of the difference of the samples of both.
+variance of the samples of a sensor, or of the differences of the samples of both sensors.
 
 A signal that all sensors measure equally cancels in the differences. From the differences of three
 or more sensors, the own noise of each sensor follows ("three-cornered hat": Gray & Allan, A method
@@ -38,7 +38,7 @@ from .transfer import transfer
 Floats = NDArray[np.float64]
 
 SAME_RATE = 0.01
-"""Largest relative difference of two sample periods that count as equal."""
+"""Largest relative difference of two sample periods that are treated as equal."""
 
 BLOCKS, T_95 = 20, 2.093
 """Number of blocks of the jackknife, and 97.5 % quantile of Student's t with 19 degrees of
@@ -78,14 +78,15 @@ class CommonNoise:
     measured : Estimate or None
         N of all noise of the axis in SI. None if two axes are compared.
     own : Estimate or None
-        N in SI without the noise that all IMUs measure equally. With two IMUs, it is the root mean
-        square of both. None if two axes are compared, or if the IMUs do not measure the common
-        noise equally.
+        N in SI without the noise that all IMUs measure equally. With two IMUs, only the root mean
+        square of their two own N is known; both have this value. None if two axes are compared, or
+        if the IMUs do not measure the common noise equally.
     gain : float
-        Factor with which the IMU measures the common noise; the geometric mean of all IMUs is 1.
+        Factor with which the IMU measures the common noise; the geometric mean of the factors of
+        all IMUs is 1.
     leak : float
-        Largest share of the common noise in the power of the difference of two IMUs. This share
-        would be mistaken for own noise.
+        Share of common noise in the power of the difference of two IMUs, for the pair of IMUs with
+        the largest share. This noise would be mistaken for own noise.
     """
 
     axis: str
@@ -124,23 +125,24 @@ def common_noise(axis: str, imus: Sequence[Samples], labels: Sequence[str]) -> l
     Raises
     ------
     AllanError
-        If the rates differ, or the common time is too short.
+        If the rates differ, or the recordings overlap for too short a time.
     """
-    parts, number, found = aligned(imus), len(imus), []
+    parts, number, rows = aligned(imus), len(imus), []
     measures = transfer([part.values for part in parts])
     parts = [part._replace(values=part.values / measures.gains[:, None]) for part in parts]
     blocks = _sums(axis, parts)
     covariance, noise = _allan_covariance(blocks, number), white_noise(blocks, number)
     for i, label in enumerate(labels):
-        this, others = np.eye(number)[i], (1.0 - np.eye(number)[i]) / (number - 1)
-        coherence = _coherence(*covariance, this, others)
+        weights_of_this = np.eye(number)[i]
+        weights_of_others = (1.0 - weights_of_this) / (number - 1)
+        coherence = _coherence(*covariance, weights_of_this, weights_of_others)
         gain = float(measures.gains[i])
-        measured, own = (
+        measured, own_noise = (
             None if one is None else one.times(gain) for one in (noise[i], noise[number + i])
         )
-        own = own if measures.is_equal else None
-        found.append(CommonNoise(axis, label, coherence, measured, own, gain, measures.leak))
-    return found
+        own_noise = own_noise if measures.is_equal else None
+        rows.append(CommonNoise(axis, label, coherence, measured, own_noise, gain, measures.leak))
+    return rows
 
 
 def common_of_axes(
@@ -166,8 +168,9 @@ def common_of_axes(
 def aligned(sensors: Sequence[Samples]) -> list[Samples]:
     """Return the samples of all sensors at the times of the first sensor, in parts without a gap.
 
-    For each stamp of the first sensor, the sample of another sensor with the nearest stamp is used,
-    if it is at most one sample period away. The values of each part are (sensors, n).
+    For each stamp of the first sensor, the sample with the nearest stamp of each other sensor is
+    used. A stamp is excluded if the nearest stamp of some sensor is more than one sample period
+    away. The values of each part are (sensors, n).
 
     Raises
     ------
@@ -179,28 +182,33 @@ def aligned(sensors: Sequence[Samples]) -> list[Samples]:
         rates = ', '.join(f'{1e9 / period:.6g}' for period in periods)
         raise AllanError(f'the rates differ ({rates} Hz): record all IMUs at the same rate')
     times = sensors[0].stamps
-    has_all, rows = np.ones(len(times), bool), []
+    has_all_sensors, rows = np.ones(len(times), bool), []
     for stamps, values in sensors:
-        right = np.searchsorted(stamps, times).clip(1, len(stamps) - 1)
-        nearest = right - (times - stamps[right - 1] < stamps[right] - times)
-        has_all &= np.abs(stamps[nearest] - times) <= periods[0]
-        rows.append(values[nearest])
-    used = np.flatnonzero(has_all)
-    parts = np.split(used, np.flatnonzero(np.diff(times[used]) > 1.5 * periods[0]) + 1)
+        next_indices = np.searchsorted(stamps, times).clip(1, len(stamps) - 1)
+        nearest_indices = next_indices - (
+            times - stamps[next_indices - 1] < stamps[next_indices] - times
+        )
+        has_all_sensors &= np.abs(stamps[nearest_indices] - times) <= periods[0]
+        rows.append(values[nearest_indices])
+    used_indices = np.flatnonzero(has_all_sensors)
+    parts = np.split(
+        used_indices, np.flatnonzero(np.diff(times[used_indices]) > 1.5 * periods[0]) + 1
+    )
     return [Samples(times[part], np.array(rows)[:, part]) for part in parts if len(part)]
 
 
 def _pairs(number: int) -> Floats:
     """Return the weights of the sensors in the difference of each pair, (pairs, sensors)."""
-    one = np.eye(number)
-    return np.array([one[i] - one[j] for i, j in combinations(range(number), 2)])
+    unit = np.eye(number)
+    return np.array([unit[i] - unit[j] for i, j in combinations(range(number), 2)])
 
 
 def _sums(axis: str, parts: Sequence[Samples]) -> list[AllanSums]:
-    """Return the Allan sums of each sensor, then of the difference of each pair, for each block.
+    """Return the Allan sums of each block; their columns are the sensors, then the pairs.
 
-    ``parts`` are from `aligned`. The `BLOCKS` blocks have equal numbers of samples. Raises
-    AllanError if the blocks are too short.
+    The column of a pair contains the sums of the difference of both sensors. ``parts`` are from
+    `aligned`. The `BLOCKS` blocks have equal numbers of samples. Raises AllanError if the blocks
+    are too short.
     """
     number = len(parts[0].values) if parts else 0
     pairs = _pairs(number) if number else np.zeros((0, 0))
@@ -211,11 +219,11 @@ def _sums(axis: str, parts: Sequence[Samples]) -> list[AllanSums]:
     running, blocks = RunningSums(ImuIdentity(), names), []
     for stamps, rows in parts:
         while len(stamps):
-            some = slice(size - running.samples)
-            values = np.concatenate([rows[:, some], pairs @ rows[:, some]])
-            running.update(values.T, int(stamps[some][0]), int(stamps[some][-1]))
+            taken = slice(size - running.samples)
+            values = np.concatenate([rows[:, taken], pairs @ rows[:, taken]])
+            running.update(values.T, int(stamps[taken][0]), int(stamps[taken][-1]))
             running.end_segment()
-            stamps, rows = stamps[some.stop :], rows[:, some.stop :]
+            stamps, rows = stamps[taken.stop :], rows[:, taken.stop :]
             if running.samples == size:
                 blocks.append(running.sums)
                 running = RunningSums(ImuIdentity(), names)
@@ -223,34 +231,43 @@ def _sums(axis: str, parts: Sequence[Samples]) -> list[AllanSums]:
 
 
 def _allan_covariance(blocks: Sequence[AllanSums], number: int) -> tuple[Floats, Floats, Floats]:
-    """Return averaging times, Allan covariances (taus, sensors, sensors) and degrees of freedom."""
+    """Return averaging times, Allan covariances, and degrees of freedom of the covariances.
+
+    They are (taus,), (taus, sensors, sensors) and (taus,). ``number`` is the number of sensors, and
+    ``blocks`` are from `_sums`. Averaging times with too few degrees of freedom are omitted.
+    """
     curve = allan_curve(reduce(add, blocks))
-    # the product of two independent sensors has at least the geometric mean of their degrees
-    degrees = np.exp(np.log(curve.edf[:, :number]).mean(axis=1))
-    some = degrees >= LEAST_DEGREES
-    avar = curve.adev[some] ** 2
+    # the covariance of two independent sensors has at least as many degrees of freedom as the
+    # geometric mean of the degrees of freedom of both Allan variances
+    mean_edf = np.exp(np.log(curve.edf[:, :number]).mean(axis=1))
+    has_enough_edf = mean_edf >= LEAST_DEGREES
+    avar = curve.adev[has_enough_edf] ** 2
     covariance = np.array([np.diag(row[:number]) for row in avar])
     for column, (i, j) in enumerate(combinations(range(number), 2), number):
-        shared = (avar[:, i] + avar[:, j] - avar[:, column]) / 2.0
-        covariance[:, i, j] = covariance[:, j, i] = shared
-    return curve.tau[some], covariance, degrees[some]
+        pair_covariance = (avar[:, i] + avar[:, j] - avar[:, column]) / 2.0
+        covariance[:, i, j] = covariance[:, j, i] = pair_covariance
+    return curve.tau[has_enough_edf], covariance, mean_edf[has_enough_edf]
 
 
 def _coherence(tau: Floats, covariance: Floats, degrees: Floats, a: Floats, b: Floats) -> Coherence:
-    """Return the correlation of two weighted sums of sensors, with Fisher's 95 % interval."""
+    """Return the correlation of two weighted sums of sensors, with Fisher's 95 % interval.
+
+    ``a`` and ``b`` are the weights of the sensors in both sums, (sensors,). ``degrees`` are the
+    degrees of freedom of the ``covariance`` at each averaging time.
+    """
     with np.errstate(invalid='ignore', divide='ignore'):
         scale = np.sqrt((covariance @ a @ a) * (covariance @ b @ b))
         value = np.clip(covariance @ a @ b / scale, -1.0, 1.0)
-        z, half = np.arctanh(value), Z_95 / np.sqrt(degrees - 2.0)
-    return Coherence(tau, value, np.tanh(z - half), np.tanh(z + half))
+        z, half_width = np.arctanh(value), Z_95 / np.sqrt(degrees - 2.0)
+    return Coherence(tau, value, np.tanh(z - half_width), np.tanh(z + half_width))
 
 
 def white_noise(blocks: Sequence[AllanSums], number: int) -> list[Estimate | None]:
-    """Return N of each sensor, then the own N of each one, in SI with 95 % intervals.
+    """Return N of each sensor, then the own N of each sensor, in SI with 95 % intervals.
 
     N is fitted together with Q, B and K to the Allan variances by weighted least squares. The
     interval is from a jackknife over the blocks. N is None if the samples are constant. With two
-    sensors, the own N is the root mean square of both.
+    sensors, only the root mean square of their two own N is known; both have this value.
 
     ``blocks`` are from `_sums`, and ``number`` is the number of sensors.
     """
@@ -259,45 +276,48 @@ def white_noise(blocks: Sequence[AllanSums], number: int) -> list[Estimate | Non
     count = np.array([block.count[:factors] for block in blocks])
     squares = np.array([block.sum_sq[:factors] for block in blocks])
     is_in_difference = np.abs(_pairs(number).T)  # 1 if a sensor is in a difference, else 0
-    of_others = -1.0 / ((number - 1) * max(number - 2, 1))
-    own = np.where(is_in_difference, 1.0 / max(number - 1, 2), of_others)
+    weight_of_other_pairs = -1.0 / ((number - 1) * max(number - 2, 1))
+    own_weights = np.where(is_in_difference, 1.0 / max(number - 1, 2), weight_of_other_pairs)
     weights = np.block(
-        [[np.eye(number), 0.0 * is_in_difference], [np.zeros((number, number)), own]]
+        [[np.eye(number), 0.0 * is_in_difference], [np.zeros((number, number)), own_weights]]
     )
 
     def curves(sums: Floats, differences: NDArray[np.int64]) -> Floats:
         return np.asarray(allan_variance(sums, m, differences) @ weights.T)
 
-    # variances of the curves, if the errors of all sensors and differences were independent
-    scatter = (curve.adev**4 / curve.edf)[:factors] @ weights.T**2
-    whole = curves(squares.sum(axis=0), count.sum(axis=0))
-    without = [
+    # variances of the curves, as if the errors of all sensors and pairs were independent
+    curve_variances = (curve.adev**4 / curve.edf)[:factors] @ weights.T**2
+    curve_of_all = curves(squares.sum(axis=0), count.sum(axis=0))
+    curves_without_block = [
         curves(squares.sum(axis=0) - s, count.sum(axis=0) - c) for s, c in zip(squares, count)
     ]
     white, quantization = 1.0 / tau, 3.0 / tau**2
-    # N^2 and Q^2 may be negative (Q^2 because the stamps of the sensors differ). Their terms occur
-    # with both signs, because the coefficients of the fit are not negative
-    signed = white, -white, quantization, -quantization
-    terms = np.stack([*signed, np.ones(factors), tau / 3.0], axis=1)
-    found: list[Estimate | None] = []
-    for column, error in enumerate(np.sqrt(scatter.T)):
+    # estimates of N^2 and Q^2 may be negative (Q^2, because the stamps of the sensors differ). The
+    # fit has only nonnegative coefficients, so the terms of N^2 and Q^2 occur with both signs
+    signed_terms = white, -white, quantization, -quantization
+    terms = np.stack([*signed_terms, np.ones(factors), tau / 3.0], axis=1)
+    estimates: list[Estimate | None] = []
+    for column, error in enumerate(np.sqrt(curve_variances.T)):
         if not error.all():
-            found.append(None)
+            estimates.append(None)
             continue
-        n = [_level(terms, curve[:, column], error) for curve in (whole, *without)]
-        half = T_95 * np.sqrt((BLOCKS - 1) * np.var(n[1:]))
-        high = float(np.sqrt(max(n[0], 0.0) + half))
-        if n[0] > half:
-            ci95 = float(np.sqrt(n[0] - half)), high
-            found.append(Estimate(float(np.sqrt(n[0])), ci95))
+        squares_of_n = [
+            _level(terms, curve[:, column], error)
+            for curve in (curve_of_all, *curves_without_block)
+        ]
+        half = T_95 * np.sqrt((BLOCKS - 1) * np.var(squares_of_n[1:]))
+        high = float(np.sqrt(max(squares_of_n[0], 0.0) + half))
+        if squares_of_n[0] > half:
+            ci95 = float(np.sqrt(squares_of_n[0] - half)), high
+            estimates.append(Estimate(float(np.sqrt(squares_of_n[0])), ci95))
         else:
-            found.append(Estimate(None, upper95=high, status='not_observable'))
-    return found
+            estimates.append(Estimate(None, upper95=high, status='not_observable'))
+    return estimates
 
 
 def _level(terms: Floats, curve: Floats, error: Floats) -> float:
-    """Return the difference of the first two coefficients in a nonnegative least-squares fit."""
+    """Return N^2, the difference of the first two coefficients of a nonnegative fit."""
     matrix = terms / error[:, None]
     scale = np.linalg.norm(matrix, axis=0)
-    found = nonnegative_least_squares(matrix / scale, curve / error) / scale
-    return float(found[0] - found[1])
+    coefficients = nonnegative_least_squares(matrix / scale, curve / error) / scale
+    return float(coefficients[0] - coefficients[1])

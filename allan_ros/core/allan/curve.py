@@ -54,7 +54,7 @@ def edf(noise_type: int, m: int, stride: int, counts: ArrayLike, number: ArrayLi
     stride : int
         Samples from the start of one second difference to the next.
     counts : int or (kinds,) array
-        Number of second differences in a segment, for each kind of segment.
+        Number of second differences in a segment, for each kind (length) of segment.
     number : int or (kinds,) array
         Number of segments of each kind; broadcasts with ``counts``.
 
@@ -64,8 +64,8 @@ def edf(noise_type: int, m: int, stride: int, counts: ArrayLike, number: ArrayLi
         NaN if all counts are 0.
     """
     counts = np.atleast_1d(np.asarray(counts, np.int64))
-    number = np.broadcast_to(np.asarray(number), counts.shape)
-    number, counts = number[counts > 0], counts[counts > 0]
+    segments = np.broadcast_to(np.asarray(number), counts.shape)
+    segments, counts = segments[counts > 0], counts[counts > 0]
     if not len(counts):
         return float('nan')
     # a pair of differences at lag j occurs M - |j| times, so sums of rho^2 and |j| rho^2 are needed
@@ -73,10 +73,10 @@ def edf(noise_type: int, m: int, stride: int, counts: ArrayLike, number: ArrayLi
     squares = correlation(noise_type, m, stride * lags) ** 2
     sum_squares = np.concatenate([[1.0], 1.0 + 2.0 * np.cumsum(squares)])
     sum_lag_squares = np.concatenate([[0.0], 2.0 * np.cumsum(lags * squares)])
-    last = np.minimum(counts, len(sum_squares)) - 1
-    variance = np.sum(number * (counts * sum_squares[last] - sum_lag_squares[last]))
+    last_lag = np.minimum(counts, len(sum_squares)) - 1
+    variance = np.sum(segments * (counts * sum_squares[last_lag] - sum_lag_squares[last_lag]))
     # float, because the square of a count above 3e9 overflows int64
-    return float(np.sum(number * counts)) ** 2 / float(variance)
+    return float(np.sum(segments * counts)) ** 2 / float(variance)
 
 
 def correlation(noise_type: int, m: int, lags: ArrayLike) -> Floats:
@@ -101,18 +101,18 @@ def correlation(noise_type: int, m: int, lags: ArrayLike) -> Floats:
     steps = np.arange(-2, 3) * m
     weights = np.array([1.0, -4.0, 6.0, -4.0, 1.0])
     lags = np.atleast_1d(np.asarray(lags, np.int64))
-    near = _phase_autocovariance(noise_type, m, lags[:, None] + steps) @ weights
+    covariance = _phase_autocovariance(noise_type, m, lags[:, None] + steps) @ weights
     variance = _phase_autocovariance(noise_type, m, steps) @ weights
-    return np.asarray(near / variance)
+    return np.asarray(covariance / variance)
 
 
 def _phase_autocovariance(noise_type: int, m: int, t: Ints) -> Floats:
     """Return the generalized autocovariance of the phase at lags of t samples, up to a factor.
 
-    It is delta(t) for white phase noise, -|t| for white noise, t^2 ln|t| for flicker noise and
-    |t|^3 - |t| for a random walk of the samples (Greenhall & Riley eq. 7, for discrete time).
-    Except for phase noise, lags are divided by m. For flicker noise, this adds a multiple of t^2,
-    whose fourth difference is 0.
+    The autocovariance is delta(t) for white phase noise, -|t| for white noise, t^2 ln|t| for
+    flicker noise and |t|^3 - |t| for a random walk of the samples (Greenhall & Riley eq. 7, for
+    discrete time). Except for phase noise, lags are divided by m. For flicker noise, this adds a
+    multiple of t^2, whose fourth difference is 0.
     """
     if noise_type == WHITE_PHASE:
         return np.asarray(t == 0, float)
@@ -143,7 +143,8 @@ SLOPE_RANGE = 4.0
 """Range of the points to which the slope at the factor m is fitted: from m/4 to 4 m."""
 
 MIN_AVERAGES = 16
-"""Shortest recording, in averaging times, for which the slope of the curve is reliable."""
+"""Shortest recording, in averaging times, for which the slope of the curve at an averaging time is
+reliable."""
 
 QUANTIZATION_SLOPE = -1.5
 """Slope of log avar over log tau below which the noise type is white phase noise."""
@@ -173,12 +174,14 @@ def noise_types_of_avar(m: Ints, avar: Floats, samples: int) -> Ints:
     slopes = _local_slopes(m, avar, np.where(MIN_AVERAGES * m <= samples, samples / m, 0.0))
     out = np.empty(avar.shape, np.int64)
     for axis in range(avar.shape[1]):
-        last = WHITE
+        noise_type = WHITE
         for i, slope in enumerate(slopes[:, axis]):
             if MIN_AVERAGES * m[i] <= samples and np.isfinite(slope):
                 is_white_phase = slope < QUANTIZATION_SLOPE
-                last = WHITE_PHASE if is_white_phase else max(round(-1.0 - slope), RANDOM_WALK)
-            out[i, axis] = last
+                noise_type = (
+                    WHITE_PHASE if is_white_phase else max(round(-1.0 - slope), RANDOM_WALK)
+                )
+            out[i, axis] = noise_type
     return out
 
 
@@ -188,22 +191,22 @@ def _local_slopes(m: Ints, avar: Floats, weights: Floats) -> Floats:
     distance = np.log(SLOPE_RANGE) * (1.0 + 1e-9)
     out = np.full(avar.shape, np.nan)
     for axis in range(avar.shape[1]):
-        known = (weights > 0.0) & (avar[:, axis] > 0.0)
-        xs, ws, ys = x[known], weights[known], np.log(avar[known, axis])
+        has_variance = (weights > 0.0) & (avar[:, axis] > 0.0)
+        xs, ws, ys = x[has_variance], weights[has_variance], np.log(avar[has_variance, axis])
         for i in range(len(m)):
-            near = np.abs(xs - x[i]) <= distance
-            if np.count_nonzero(near) < 2:
+            is_near = np.abs(xs - x[i]) <= distance
+            if np.count_nonzero(is_near) < 2:
                 continue
-            w = ws[near] / ws[near].sum()
-            dx = xs[near] - w @ xs[near]
-            out[i, axis] = (w * dx) @ ys[near] / ((w * dx) @ dx)
+            w = ws[is_near] / ws[is_near].sum()
+            dx = xs[is_near] - w @ xs[is_near]
+            out[i, axis] = (w * dx) @ ys[is_near] / ((w * dx) @ dx)
     return out
 
 
 UNCERTAIN = 1.5
-"""Largest ratio of the upper limit of a point to the point for which it is compared with a model. A
-point with a larger ratio has fewer than six degrees of freedom: its averaging time exceeds about a
-tenth of the recording."""
+"""Largest ratio of the upper limit of a point to the point itself. A point with a larger ratio is
+not compared with a model. It has fewer than six degrees of freedom: its averaging time exceeds
+about a tenth of the recording."""
 
 
 @dataclass(frozen=True)
@@ -219,8 +222,8 @@ class AxisCurve:
     n : (factors,) int64 array
         Number of second differences in each point.
     adev, ci_low, ci_high : (factors,) float64 arrays
-        Allan deviation and its limits in the unit of the samples; (factors, columns) for several
-        columns.
+        Allan deviation and its limits in the unit of the samples. The shape is (factors, axes) in
+        an `AllanCurve`.
 
     Examples
     --------
@@ -288,13 +291,13 @@ def allan_curve(sums: AllanSums) -> AllanCurve:
         If there are fewer than two samples.
     """
     tau0 = sample_period(sums)
-    some = sums.count > 0
-    m, stride, avar = sums.m[some], sums.stride[some], sums.avar[some]
+    has_data = sums.count > 0
+    m, stride, avar = sums.m[has_data], sums.stride[has_data], sums.avar[has_data]
     types = noise_types_of_avar(m, avar, sums.samples)
-    adev, n = np.sqrt(avar), sums.count[some]
-    # a part of a recording has fewer differences than a segment of this length
-    complete = sum(k * counts(round(size), m, stride) for size, k in sums.length_histogram)
-    share = np.minimum(n / np.maximum(complete, 1), 1.0)[:, None]
+    adev, n = np.sqrt(avar), sums.count[has_data]
+    # the sums of a part of a recording contain fewer differences than complete segments would
+    complete_count = sum(k * counts(round(size), m, stride) for size, k in sums.length_histogram)
+    share = np.minimum(n / np.maximum(complete_count, 1), 1.0)[:, None]
     degrees = share * degrees_of_freedom(sums, m, stride, types)
     low, high = chi_squared_limits(avar, degrees)
     tau = np.asarray(m * tau0, float)
@@ -324,14 +327,14 @@ def degrees_of_freedom(sums: AllanSums, m: Ints, stride: Ints, types: Ints) -> F
     """
     degrees = np.empty(types.shape)
     lengths = [round(samples) for samples, _ in sums.length_histogram]
-    number = [how_many for _, how_many in sums.length_histogram]
+    segments_of_length = [how_many for _, how_many in sums.length_histogram]
     for i in range(len(m)):
-        per_segment = np.array([counts(n, m[i], stride[i]) for n in lengths])
-        of_type = {
-            t: edf(t, int(m[i]), int(stride[i]), per_segment, number)
+        differences_per_segment = np.array([counts(n, m[i], stride[i]) for n in lengths])
+        degrees_of_type = {
+            t: edf(t, int(m[i]), int(stride[i]), differences_per_segment, segments_of_length)
             for t in set(types[i].tolist())
         }
-        degrees[i] = [of_type[t] for t in types[i].tolist()]
+        degrees[i] = [degrees_of_type[t] for t in types[i].tolist()]
     return degrees
 
 
@@ -350,8 +353,8 @@ class Spectra:
     octave: Ints  # (bins,) octave of each bin
     f: Floats  # (bins,) center frequencies in cycles per sample
     power: Floats  # (bins, axes) in the squared unit of the samples
-    dof: Floats  # (bins,)
-    shared_dof: Floats  # (bins,)
+    dof: Floats  # (bins,) degrees of freedom of the power of a bin
+    shared_dof: Floats  # (bins,) degrees of freedom of the power of a bin in a sum over all bins
     clump: Floats  # (bins,) sum of the squared correlations of a bin with all bins of its block
     blocks: Ints  # (octaves,) number of blocks
     pairs: Ints  # (octaves,) number of pairs of overlapping blocks
@@ -365,23 +368,25 @@ class Spectra:
 def pooled_spectra(sums: AllanSums) -> Spectra:
     """Return the mean power over all spectral blocks of the sums."""
     periods = sums.periods
-    none, width = np.zeros(0, np.int64), len(sums.axes)
-    blocks, pairs = (totals([none, *(getattr(p, k) for p in periods)]) for k in ('blocks', 'pairs'))
+    no_counts, width = np.zeros(0, np.int64), len(sums.axes)
+    blocks, pairs = (
+        totals([no_counts, *(getattr(p, k) for p in periods)]) for k in ('blocks', 'pairs')
+    )
     power = totals([np.zeros((0, width)), *(p.power for p in periods)])
     octaves = [octave(o) for o in range(len(blocks))]
-    of_bin = np.repeat(np.arange(len(blocks)), [len(one.bins) for one in octaves])
+    octave_of_bin = np.repeat(np.arange(len(blocks)), [len(one.bins) for one in octaves])
     f = [np.array(one.bins) / one.length for one in octaves]
     degrees = np.zeros((3, len(blocks)))
-    for o in np.flatnonzero(blocks):  # 0 if all blocks of an octave were excluded
-        same, following = overlap(int(o))
-        covariance = (blocks[o] * same + pairs[o] * following) / float(blocks[o]) ** 2
-        variance = covariance[np.argmax(same)]
+    for o in np.flatnonzero(blocks):  # degrees stay 0 if all blocks are excluded
+        same_block, next_blocks = overlap(int(o))
+        covariance = (blocks[o] * same_block + pairs[o] * next_blocks) / float(blocks[o]) ** 2
+        variance = covariance[np.argmax(same_block)]
         clump = np.sum((covariance / variance) ** 2)
         degrees[:, o] = 2.0 / variance, 2.0 / covariance.sum(), clump
-    mean = power / np.maximum(blocks[of_bin], 1)[:, None]
+    mean = power / np.maximum(blocks[octave_of_bin], 1)[:, None]
     frequency = np.concatenate([np.zeros(0), *f])
-    dof, shared, clump = degrees[:, of_bin]
-    return Spectra(of_bin, frequency, mean, dof, shared, clump, blocks, pairs)
+    dof, shared, clump = degrees[:, octave_of_bin]
+    return Spectra(octave_of_bin, frequency, mean, dof, shared, clump, blocks, pairs)
 
 
 @dataclass(frozen=True)
@@ -394,22 +399,22 @@ class Spectrum:
     low: Floats  # (points, axes) lower limit of ``psd``
     high: Floats  # (points, axes) upper limit of ``psd``
     bin: NDArray[np.int64]  # (points,) index of each point in the bins of all octaves
-    octaves: int
+    octaves: int  # number of octaves, up to the octave of the lowest frequency
     step: NDArray[np.int64]  # (points,) samples per mean of the blocks of each point
 
 
 def noise_density(sums: AllanSums) -> Spectrum | None:
-    """Return the power spectral density of the samples; None without a complete block."""
+    """Return the power spectral density of the samples; None if there is no complete block."""
     spectra = pooled_spectra(sums)
-    some = np.flatnonzero(spectra.dof > 0.0)
-    if not len(some) or not sums.tau0:
+    used_bins = np.flatnonzero(spectra.dof > 0.0)
+    if not len(used_bins) or not sums.tau0:
         return None
-    some = some[np.argsort(spectra.f[some])]
-    step = np.array([octave(o).step for o in spectra.octave[some].tolist()])
-    psd = 2.0 * sums.tau0 * step[:, None] * spectra.power[some]
-    degrees = np.broadcast_to(spectra.dof[some, None], psd.shape)
+    used_bins = used_bins[np.argsort(spectra.f[used_bins])]
+    step = np.array([octave(o).step for o in spectra.octave[used_bins].tolist()])
+    psd = 2.0 * sums.tau0 * step[:, None] * spectra.power[used_bins]
+    degrees = np.broadcast_to(spectra.dof[used_bins, None], psd.shape)
     # `chi_squared_limits` returns limits of a deviation; their squares are limits of the density
     low, high = chi_squared_limits(psd, degrees)
-    octaves = int(spectra.octave[some].max()) + 1
-    f = spectra.f[some] / sums.tau0
-    return Spectrum(sums.axes, f, psd, low**2, high**2, some, octaves, step)
+    octaves = int(spectra.octave[used_bins].max()) + 1
+    f = spectra.f[used_bins] / sums.tau0
+    return Spectrum(sums.axes, f, psd, low**2, high**2, used_bins, octaves, step)

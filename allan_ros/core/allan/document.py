@@ -29,7 +29,7 @@ from .sums import AllanSums
 Ints = NDArray[np.int64]
 
 SUMS_SCHEMA = 'allan_ros/sums/5'
-"""Name and version of the document format; the reader rejects any other."""
+"""Name and version of the document format; the reader rejects other formats."""
 
 MAX_FACTORS = len(FIRST_FACTORS) + len(LEVEL_FACTORS) * MAX_LEVELS
 """Largest accepted number of averaging factors. More factors would require centuries of samples."""
@@ -44,7 +44,8 @@ MAX_STRETCHES = 10_000
 """Largest accepted number of rows in the table of replaced stretches."""
 
 MAX_SUM = 1e80
-"""Largest accepted sum of squares. Powers of it up to the third must not overflow in a fit."""
+"""Largest accepted sum of squares. A fit computes the third power of a sum, which must not
+overflow."""
 
 MAX_PERIOD_NS = 10**13
 """Longest accepted sample period in ns, nearly three hours."""
@@ -72,26 +73,32 @@ def sums_to_document(sums: AllanSums) -> dict[str, Any]:
 
 
 def checksum_of(document: Mapping[str, Any]) -> str:
-    """Return the checksum of all numbers in a document of `sums_to_document`: 16 hex digits."""
-    numbers = {key: value for key, value in document.items() if key not in TEXT_KEYS}
-    text = json.dumps(numbers, sort_keys=True, separators=(',', ':'))
+    """Return the checksum of a document without its `TEXT_KEYS`, as 16 hex digits."""
+    covered = {key: value for key, value in document.items() if key not in TEXT_KEYS}
+    text = json.dumps(covered, sort_keys=True, separators=(',', ':'))
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
 def _recording_to_document(recording: RecordedPeriods, factors: int) -> dict[str, Any]:
-    """Return the document of a recording: one array for all periods, which compresses best."""
+    """Return the document of a recording.
+
+    Each quantity is one array over all periods, because one array compresses better than several.
+    """
     periods = recording.periods
     octaves = max(len(p.blocks) for p in periods)
-    rows = {'count': factors, 'sum_sq': factors, 'blocks': octaves, 'pairs': octaves}
-    rows['power'] = bins_up_to(octaves)
-    single = ('samples', 'begin_ns', 'interpolated', 'total')
+    row_counts = {'count': factors, 'sum_sq': factors, 'blocks': octaves, 'pairs': octaves}
+    row_counts['power'] = bins_up_to(octaves)
+    keys_without_rows = ('samples', 'begin_ns', 'interpolated', 'total')
     return {
         'age': periods[0].begin,
         'periods': len(periods),
         'octaves': octaves,
         'reference': _packed(recording.reference),
-        **{key: _packed(np.array([getattr(p, key) for p in periods])) for key in single},
-        **{key: _packed(_padded([getattr(p, key) for p in periods], n)) for key, n in rows.items()},
+        **{key: _packed(np.array([getattr(p, key) for p in periods])) for key in keys_without_rows},
+        **{
+            key: _packed(_padded([getattr(p, key) for p in periods], n))
+            for key, n in row_counts.items()
+        },
         'means': [
             {
                 'age': m.age,
@@ -108,8 +115,8 @@ def _recording_to_document(recording: RecordedPeriods, factors: int) -> dict[str
 def _padded(arrays: Sequence[NDArray[Any]], rows: int) -> NDArray[Any]:
     """Return arrays of different lengths as one array, (arrays, rows, ...), padded with zeros."""
     out = np.zeros((len(arrays), rows, *arrays[0].shape[1:]), arrays[0].dtype)
-    for one, array in zip(out, arrays):
-        one[: len(array)] = array
+    for padded, array in zip(out, arrays):
+        padded[: len(array)] = array
     return out
 
 
@@ -117,7 +124,7 @@ def _packed(values: NDArray[Any]) -> str:
     """Return an array of int64 or float64 as zlib-compressed bytes in base64.
 
     The lowest bytes of all numbers come first, then the second bytes of all numbers, and so on.
-    This order compresses better, in particular if the lowest bytes are 0 (`rounded`).
+    This order compresses better, in particular if the lowest bytes are 0 (see `rounded`).
     """
     kind = '<f8' if values.dtype.kind == 'f' else '<i8'
     data = np.ascontiguousarray(values, kind).view(np.uint8).reshape(-1, 8)
@@ -138,12 +145,12 @@ def _array(fields: Fields, key: str, shape: tuple[int, ...], least: Any, most: A
         raise AllanError(f'{where} cannot be unpacked: {error!r}') from error
     if not stream.eof or len(data) != 8 * number:
         raise AllanError(f'{where} does not have the expected {number} numbers')
-    kind = '<f8' if np.asarray(least).dtype.kind == 'f' else '<i8'
+    dtype = '<f8' if np.asarray(least).dtype.kind == 'f' else '<i8'
     bytes_by_place = np.frombuffer(data, np.uint8).reshape(8, number)
-    values = np.ascontiguousarray(bytes_by_place.T).view(kind).reshape(shape)
-    if not np.all((least <= values) & (values <= most)):  # this also excludes NaN
+    values = np.ascontiguousarray(bytes_by_place.T).view(dtype).reshape(shape)
+    if not np.all((least <= values) & (values <= most)):  # NaN is not in the range, either
         raise AllanError(f'{where} has numbers outside of the expected range')
-    return values.astype(kind[1:])
+    return values.astype(dtype[1:])
 
 
 def sums_from_document(document: object, where: str = 'sums') -> AllanSums:
@@ -154,19 +161,19 @@ def sums_from_document(document: object, where: str = 'sums') -> AllanSums:
     Raises
     ------
     AllanError
-        If the version or the checksum of the document differs, or if a field is missing, has a
+        If the document has another version or a wrong checksum, or if a field is missing, has a
         wrong type or shape, is not finite, or exceeds its bounds.
     """
     top = Fields(document, where)
     top.schema(SUMS_SCHEMA)
     if isinstance(document, dict) and top.text('checksum') != checksum_of(document):
         raise AllanError(
-            f'{where} is damaged (its checksum differs): accumulate the data again, or use a copy'
+            f'{where} is damaged (its checksum is wrong): accumulate the data again, or use a copy'
         )
     axes = tuple(top.sequence('axes', len(AXES)))
     if not axes or axes != tuple(a for a in AXES if a in axes):
         raise AllanError(
-            f'{where}.axes is {axes!r:.80}: some of {", ".join(AXES)} are expected, in order'
+            f'{where}.axes is {axes!r:.80}: give some of {", ".join(AXES)}, in this order'
         )
     n, width = len(top.sequence('count', MAX_FACTORS)), len(axes)
     replaced = _whole_table(top, 'replaced', MAX_STRETCHES, 2 + width)
@@ -184,7 +191,9 @@ def sums_from_document(document: object, where: str = 'sums') -> AllanSums:
         replaced,
     )
     if not np.array_equal(top.integers('m', n), sums.m):
-        raise AllanError(f'{where}.m is not the grid of this version: accumulate the data again')
+        raise AllanError(
+            f'{where}.m has other averaging factors than this version: accumulate the data again'
+        )
     if max(sums.sum_sq.max(initial=0.0), sums.group_sum_sq.max(initial=0.0)) > MAX_SUM:
         raise AllanError(f'{where}.sum_sq is above {MAX_SUM:g}: too large for samples of an IMU')
     if not all(1 <= number <= samples for samples, number in sums.lengths):
@@ -210,7 +219,7 @@ def _recording(fields: Fields, factors: int, axes: int) -> RecordedPeriods:
     reference = _array(fields, 'reference', (axes,), -LARGEST, LARGEST)
     samples = _array(fields, 'samples', (n,), 1, most)
     if age + int(samples.sum()) >= MAX_INTEGER:
-        raise AllanError(f'{fields.where}.samples are too many')
+        raise AllanError(f'{fields.where}.samples contains too many samples')
     limit = 2.0 * LARGEST * samples[:, None]
     columns = zip(
         (age + np.cumsum(samples) - samples).tolist(),

@@ -37,7 +37,7 @@ the lags of a covariance would not fit into 64-bit search keys."""
 
 
 def grid(levels: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the averaging factors m and the strides of a cascade of ``levels`` decimations.
+    """Return the averaging factors m and the strides of a cascade with ``levels`` levels.
 
     The stride is the number of samples between the starts of successive second differences. Both
     arrays have 5 + 4 ``levels`` elements.
@@ -58,7 +58,8 @@ def counts(samples: int, m: NDArray[np.int64], stride: NDArray[np.int64]) -> NDA
 
 MIN_VARIANCE = 1e-80
 """Smallest Allan variance; smaller values are set to 0. The fit computes the cube and the inverse
-square of variances, which must be in the range of float64. No sensor has a resolution of 1e-40."""
+square of variances, which must be in the range of float64. No sensor has a resolution as fine as
+1e-40."""
 
 
 def allan_variance(sum_sq: Floats, m: NDArray[np.int64], count: NDArray[np.int64]) -> Floats:
@@ -75,7 +76,7 @@ def allan_variance(sum_sq: Floats, m: NDArray[np.int64], count: NDArray[np.int64
 
 
 def levels_of(factors: int) -> int:
-    """Return the number of levels of a grid with ``factors`` factors, at least 1."""
+    """Return the number of levels, at least 1, of a grid with ``factors`` averaging factors."""
     return max(1, -(-(factors - 5) // 4))
 
 
@@ -86,7 +87,7 @@ SHORTEST_BLOCK = 64
 """Samples per block of octave 0."""
 
 LOW_BIN = 8
-"""Lowest bin of each octave, as a number of periods in a block."""
+"""Lowest frequency of each octave, in periods per block."""
 
 SAMPLE_OCTAVES = 5
 """Number of octaves whose blocks consist of samples; blocks of higher octaves consist of means."""
@@ -98,8 +99,8 @@ LONGEST_BLOCK = SHORTEST_BLOCK << (SAMPLE_OCTAVES - 1)
 class Octave(NamedTuple):
     """Blocks and bins of one octave."""
 
-    step: int  # samples per mean
-    size: int  # means per block
+    step: int  # samples per mean; 1 if blocks consist of samples
+    size: int  # means (or samples) per block
     bins: range  # frequencies in periods per block
 
     @property
@@ -132,8 +133,8 @@ def tapers(size: int, bins: range) -> NDArray[np.complex128]:
     t = np.arange(size)
     window = np.sin(np.pi / 2 * np.sin(np.pi * (t + 0.5) / size) ** 2)
     a = window * np.exp(-2j * np.pi * np.outer(np.array(bins), t) / size)
-    line = np.linalg.qr(np.stack([np.ones(size), t - t.mean()], axis=1))[0]
-    a = a - (a @ line) @ line.T
+    constant_and_line = np.linalg.qr(np.stack([np.ones(size), t - t.mean()], axis=1))[0]
+    a = a - (a @ constant_and_line) @ constant_and_line.T
     return np.asarray(a / np.sqrt((np.abs(a) ** 2).sum(axis=1))[:, None])
 
 
@@ -147,12 +148,12 @@ def overlap(o: int) -> tuple[Floats, Floats]:
     """
     size = octave(o).size
     a = tapers(size, range(1, 4 * LOW_BIN))
-    late = np.zeros_like(a)  # of the next block
-    late[:, size // 2 :] = a[:, : size // 2]
+    next_tapers = np.zeros_like(a)  # tapers of the next block, where it overlaps this block
+    next_tapers[:, size // 2 :] = a[:, : size // 2]
     middle = (2 * LOW_BIN if o == 0 else LOW_BIN + LOW_BIN // 2) - 1  # row of bin 16 or 12
 
     def covariance(x: NDArray[np.complex128], y: NDArray[np.complex128]) -> Floats:
-        one = x[middle]
-        return np.asarray(np.abs(one.conj() @ y.T) ** 2 + np.abs(one @ y.T) ** 2)
+        middle_taper = x[middle]
+        return np.asarray(np.abs(middle_taper.conj() @ y.T) ** 2 + np.abs(middle_taper @ y.T) ** 2)
 
-    return covariance(a, a), covariance(a, late) + covariance(late, a)
+    return covariance(a, a), covariance(a, next_tapers) + covariance(next_tapers, a)

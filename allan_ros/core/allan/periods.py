@@ -1,16 +1,17 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Sums of a recording in periods of time, and its block means.
+"""Sums of a recording over periods of time, and block means of the recording.
 
 Periods
 -------
-The age of a sample is the number of samples of the recording before it. Periods are short at the
-start of a recording (warm-up) and at its end (recent changes), and long in between. A block of any
-level of the cascade belongs to the period in which the block starts.
+The age of a sample is the number of samples of the recording before this sample. Periods are short
+at the start of a recording (warm-up) and at its end (recent changes), and long in between. A block
+of any level of the cascade belongs to the period in which the block starts.
 
 Rounding
 --------
-Sums of periods are rounded to 21 significant bits and means to 29, which makes documents smaller.
+The sums of squares and the powers of periods are rounded to 21 significant bits, and block means to
+29 bits. This makes documents smaller.
 """
 
 from __future__ import annotations
@@ -31,20 +32,22 @@ MAX_PERIODS = 24
 """Largest number of periods of all recordings of an `AllanSums`."""
 
 KEPT_SEGMENTS, MIN_MEANS, MAX_MEANS = 32, 4, 1024
-"""Block means are kept for at most 32 segments, the longest, with at least 4 means each and at most
-1024 means in all."""
+"""Block means are kept for at most 32 segments: the longest ones that have at least 4 means. All
+segments together have at most 1024 means."""
 
 SUM_BYTES, MEAN_BYTES = 4, 5
-"""Number of upper bytes of a float64 that are kept: for the sums of a period, and for means. The
-other bytes are 0."""
+"""Number of upper bytes of a float64 that are kept in the sums of a period, and in block means. The
+other bytes are set to 0."""
 
 
 def rounded(values: Floats, size: int) -> Floats:
     """Return values of any shape and unit, rounded to the upper ``size`` bytes of a float64."""
     shift = 64 - 8 * size
     bits = np.ascontiguousarray(values, '<f8').view('<u8')
-    even = bits + ((bits >> np.uint64(shift)) & np.uint64(1)) + np.uint64((1 << (shift - 1)) - 1)
-    return np.asarray((even >> np.uint64(shift) << np.uint64(shift)).view('<f8'))
+    rounded_bits = (
+        bits + ((bits >> np.uint64(shift)) & np.uint64(1)) + np.uint64((1 << (shift - 1)) - 1)
+    )
+    return np.asarray((rounded_bits >> np.uint64(shift) << np.uint64(shift)).view('<f8'))
 
 
 class ByValue:
@@ -98,7 +101,7 @@ class Period(ByValue):
         return self.begin + self.samples
 
     def __add__(self, later: Period) -> Period:
-        """Return the sums over this period and a later one, as one period."""
+        """Return the sums over this period and a later period, as one period."""
         return replace(
             self,
             samples=self.samples + later.samples,
@@ -112,7 +115,7 @@ class Period(ByValue):
         ).stored()
 
     def stored(self) -> Period:
-        """Return a copy without zeros at the end, and with rounded values."""
+        """Return a copy without zeros at the ends of the arrays, and with rounded sums."""
         factors, octaves = nonzero_length(self.count), nonzero_length(self.blocks)
         power = self.power[: bins_up_to(octaves)]
         return replace(
@@ -149,7 +152,7 @@ class RecordedPeriods(ByValue):
     """Periods and block means of one recording."""
 
     periods: tuple[Period, ...]
-    means: tuple[BlockMeans, ...]  # of the longest segments, in the order of time
+    means: tuple[BlockMeans, ...]  # block means of the longest segments, in the order of time
     reference: Floats  # (axes,) first sample of the recording
 
     @property
@@ -164,12 +167,12 @@ class RecordedPeriods(ByValue):
         return np.asarray(self.reference + total / max(self.samples, 1))
 
     def merged(self, i: int) -> RecordedPeriods:
-        """Return a copy in which period i and the next one are one period."""
+        """Return a copy in which period i and the next period are one period."""
         p = self.periods
         return replace(self, periods=(*p[:i], p[i] + p[i + 1], *p[i + 2 :]))
 
     def joined(self, later: RecordedPeriods) -> RecordedPeriods:
-        """Return one recording of both, as if the later one was continued after a gap."""
+        """Return both recordings as one, as if ``later`` continued this recording after a gap."""
         age, shift = self.samples, later.reference - self.reference
         periods = tuple(
             replace(p, begin=p.begin + age, total=p.total + p.samples * shift)
@@ -187,7 +190,7 @@ def pair_to_merge(begins: Sequence[int], length: int) -> tuple[float, int]:
 
     ``begins`` are the ages at which the periods begin, and ``length`` is the number of samples of
     the recording. The length of a pair of periods is divided by the smaller of two distances: from
-    the start of the recording to the end of the pair, and from the begin of the pair to the end of
+    the start of the recording to the end of the pair, and from the start of the pair to the end of
     the recording. The result is infinite for fewer than two periods.
     """
     ends = [*begins[1:], length]
@@ -198,35 +201,42 @@ def pair_to_merge(begins: Sequence[int], length: int) -> tuple[float, int]:
 def bounded(recordings: Iterable[RecordedPeriods]) -> tuple[RecordedPeriods, ...]:
     """Return the recordings, sorted by time, with at most 24 periods and 1024 means in all.
 
-    Neighboring periods are merged. If there are more than 24 recordings, the oldest are joined.
+    Neighboring periods are merged. If there are more than 24 recordings, the two oldest ones are
+    joined repeatedly.
     """
-    kept = sorted(recordings, key=lambda r: (r.periods[0].begin_ns, r.samples))
-    while sum(len(r.periods) for r in kept) > MAX_PERIODS:
-        pairs = [pair_to_merge([p.begin for p in r.periods], r.samples) for r in kept]
-        _, which, i = min((relative, k, i) for k, (relative, i) in enumerate(pairs))
-        if len(kept[which].periods) > 1:
-            kept[which] = kept[which].merged(i)
+    kept_recordings = sorted(recordings, key=lambda r: (r.periods[0].begin_ns, r.samples))
+    while sum(len(r.periods) for r in kept_recordings) > MAX_PERIODS:
+        pairs = [pair_to_merge([p.begin for p in r.periods], r.samples) for r in kept_recordings]
+        _, recording_at, i = min((relative, k, i) for k, (relative, i) in enumerate(pairs))
+        if len(kept_recordings[recording_at].periods) > 1:
+            kept_recordings[recording_at] = kept_recordings[recording_at].merged(i)
         else:
-            kept[:2] = [kept[0].joined(kept[1])]
-    means = iter(bounded_means([r.means for r in kept]))
-    return tuple(replace(r, means=m) for r, m in zip(kept, means))
+            kept_recordings[:2] = [kept_recordings[0].joined(kept_recordings[1])]
+    means = iter(bounded_means([r.means for r in kept_recordings]))
+    return tuple(replace(r, means=m) for r, m in zip(kept_recordings, means))
 
 
-def bounded_means(of_each: Sequence[Sequence[BlockMeans]]) -> list[tuple[BlockMeans, ...]]:
-    """Return the means of the longest segments at a common step, at most `MAX_MEANS` in all."""
-    segments = [(m, i) for i, means in enumerate(of_each) for m in means]
+def bounded_means(
+    means_of_recordings: Sequence[Sequence[BlockMeans]],
+) -> list[tuple[BlockMeans, ...]]:
+    """Return the block means of the longest segments at a common step, for each recording.
+
+    The input has the block means of each recording, too. The result contains at most `MAX_MEANS`
+    means for all recordings together.
+    """
+    segments = [(m, i) for i, means in enumerate(means_of_recordings) for m in means]
     segments = sorted(segments, key=lambda s: (-s[0].samples, s[0].start_ns))[:KEPT_SEGMENTS]
     step = max((m.step for m, _ in segments), default=1)
     while True:
-        number = [m.samples // step for m, _ in segments]
-        if sum(n for n in number if n >= MIN_MEANS) <= MAX_MEANS:
+        means_per_segment = [m.samples // step for m, _ in segments]
+        if sum(n for n in means_per_segment if n >= MIN_MEANS) <= MAX_MEANS:
             break
         step *= 2
-    kept: list[list[BlockMeans]] = [[] for _ in of_each]
-    for (m, i), n in zip(segments, number):
+    kept_means: list[list[BlockMeans]] = [[] for _ in means_of_recordings]
+    for (m, i), n in zip(segments, means_per_segment):
         if n >= MIN_MEANS:
-            kept[i].append(m.coarser(step))
-    return [tuple(sorted(means, key=lambda m: m.age)) for means in kept]
+            kept_means[i].append(m.coarser(step))
+    return [tuple(sorted(means, key=lambda m: m.age)) for means in kept_means]
 
 
 def totals(arrays: Iterable[NDArray]) -> NDArray:  # type: ignore[type-arg]

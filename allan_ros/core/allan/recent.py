@@ -19,15 +19,15 @@ from .sums import AllanSums
 Floats = NDArray[np.float64]
 
 LONGEST_TAU_SHARE = 0.25
-"""Longest averaging time at which noise levels are compared, as a fraction of the window."""
+"""Longest averaging time at which noise levels are compared, as a fraction of the recent window."""
 
 MIN_STEP_EDF = 30.0
-"""Smallest number of degrees of freedom before a step, and after it. The standard error of the
-ratio of the variances is then at most 37 %."""
+"""Smallest number of degrees of freedom of the variances before and after a step. The standard
+error of the ratio of these variances is then at most 37 %."""
 
 LIKELIHOOD_RATIO = 30.0
 """Smallest significant value of twice the log likelihood ratio of a step. Chi-squared with one
-degree of freedom exceeds it with a probability of 4e-8, so that many times and axes can be
+degree of freedom exceeds this value with a probability of 4e-8, so that many times and axes can be
 tested."""
 
 
@@ -35,7 +35,8 @@ tested."""
 class NoiseStep:
     """Change of the noise level of an axis in the recent window, by one or more steps.
 
-    The first step is the most significant one. Significant steps after it are found one by one.
+    The first step is the most significant step in the window. After it, further significant steps
+    are searched for, one after the other.
 
     Attributes
     ----------
@@ -66,11 +67,11 @@ class NoiseStep:
         return low > 1.0 + margin or high < 1.0 / (1.0 + margin)
 
     def coefficient_before(self, term: str) -> float | None:
-        """Return N or Q before the first step in SI, if only this noise was present at ``tau``.
+        """Return the coefficient ``term``, N or Q, before the first step in SI.
 
-        N = sigma sqrt(tau) and Q = sigma tau / sqrt(3) (IEEE Std 952-1997, C.1.1 and C.1.2). The
-        result is None for other terms: the window is too short for K and R, and B has no specific
-        averaging time.
+        It is computed as if only the noise of this term was present at ``tau``: N = sigma sqrt(tau)
+        and Q = sigma tau / sqrt(3) (IEEE Std 952-1997, C.1.1 and C.1.2). The result is None for
+        other terms: the window is too short for K and R, and B has no specific averaging time.
 
         Examples
         --------
@@ -84,8 +85,8 @@ class NoiseStep:
 def noise_steps(sums: AllanSums, window_s: float) -> dict[str, NoiseStep]:
     """Return axis -> change of the noise level, for the axes with a step in the recent window.
 
-    The window of ``window_s`` seconds ends at the end of the latest recording. The noise in this
-    window is compared with all earlier data.
+    The window of ``window_s`` seconds ends at the end of the latest recording. The noise before a
+    step includes the noise of all data before the window.
 
     Raises
     ------
@@ -99,10 +100,12 @@ def noise_steps(sums: AllanSums, window_s: float) -> dict[str, NoiseStep]:
     if not sums.recordings or not sums.tau0:
         return {}
     latest = sums.recordings[-1]
-    levels = int(np.count_nonzero(sums.m * sums.tau0 <= LONGEST_TAU_SHARE * window_s))
-    none = np.zeros((levels, len(sums.axes)))
-    count = np.array([add_padded(none[:, 0].astype(int), p.count)[:levels] for p in sums.periods])
-    sum_sq = np.array([add_padded(none, p.sum_sq)[:levels] for p in sums.periods])
+    factors = int(np.count_nonzero(sums.m * sums.tau0 <= LONGEST_TAU_SHARE * window_s))
+    no_sums = np.zeros((factors, len(sums.axes)))
+    count = np.array(
+        [add_padded(no_sums[:, 0].astype(int), p.count)[:factors] for p in sums.periods]
+    )
+    sum_sq = np.array([add_padded(no_sums, p.sum_sq)[:factors] for p in sums.periods])
     # the first row contains all data before the window
     start = latest.samples - window_s / sums.tau0
     begins = [p.begin if r is latest else -1 for r in sums.recordings for p in r.periods]
@@ -110,70 +113,72 @@ def noise_steps(sums: AllanSums, window_s: float) -> dict[str, NoiseStep]:
     count = np.concatenate([count[:earlier].sum(axis=0)[None], count[earlier:]])
     sum_sq = np.concatenate([sum_sq[:earlier].sum(axis=0)[None], sum_sq[earlier:]])
     begins = begins[earlier - 1 :]
-    if len(begins) < 2 or not levels:
+    if len(begins) < 2 or not factors:
         return {}
-    m = sums.m[:levels]
+    m = sums.m[:factors]
     total = np.maximum(count.sum(axis=0), 1)
     avar = allan_variance(sum_sq.sum(axis=0), m, total)
-    types = noise_types_of_avar(m, np.where(avar > 0.0, avar, np.nan), sums.samples)
-    found = {}
+    noise_types = noise_types_of_avar(m, np.where(avar > 0.0, avar, np.nan), sums.samples)
+    steps = {}
     for i, axis in enumerate(sums.axes):
         share = np.array(  # degrees of freedom per second difference
             [
                 edf(int(alpha), int(factor), max(1, int(factor) // LEVEL_FACTORS[0]), int(n)) / n
-                for alpha, factor, n in zip(types[:, i], m, total)
+                for alpha, factor, n in zip(noise_types[:, i], m, total)
             ]
         )
-        rows = _steps(count * share, sum_sq[:, :, i])
-        if rows is None:
+        first_and_last_step = _steps(count * share, sum_sq[:, :, i])
+        if first_and_last_step is None:
             continue
-        first, last, k = rows
+        first, last, k = first_and_last_step
         sides = slice(first), slice(last, None)
-        number = [float(count[side, k].sum()) for side in sides]
+        differences = [float(count[side, k].sum()) for side in sides]
         before, after = (
             sum_sq[side, k, i].sum() / (2.0 * float(m[k]) ** 2 * n)
-            for side, n in zip(sides, number)
+            for side, n in zip(sides, differences)
         )
-        nu, ratio = share[k] * np.array(number), after / before
+        nu, ratio = share[k] * np.array(differences), after / before
         low, high = (math.sqrt(ratio / fdtri(nu[1], nu[0], q)) for q in (0.975, 0.025))
         since = (latest.samples - begins[last]) * sums.tau0
         numbers = float(m[k] * sums.tau0), math.sqrt(before), math.sqrt(ratio)
-        found[axis] = NoiseStep(*numbers, (low, high), since)
-    return found
+        steps[axis] = NoiseStep(*numbers, (low, high), since)
+    return steps
 
 
 def _steps(degrees: Floats, squares: Floats) -> tuple[int, int, int] | None:
-    """Return the first row after the first step, the first row after the last step, and a factor.
+    """Return the rows after the first and after the last step, and the index of a factor.
 
-    ``degrees`` are degrees of freedom and ``squares`` sums of squares, both (rows, factors). The
-    first step is the most significant step at any averaging factor. The third result is the index
-    of this factor, at which later steps are searched for. The result is None without a significant
-    step.
+    ``degrees`` are the degrees of freedom, and ``squares`` the sums of squares, of each period and
+    averaging factor, (rows, factors). The first step is the most significant step at any factor.
+    The returned index is the index of this factor. Later steps are searched for only at this
+    factor. Returns None if no step is significant.
     """
     degrees, squares = np.cumsum(degrees, axis=0), np.cumsum(squares, axis=0)
     ratio = _step_ratios(degrees, squares)
-    at, level = np.unravel_index(int(ratio.argmax()), ratio.shape)
-    if not ratio[at, level] > LIKELIHOOD_RATIO:
+    at, factor = np.unravel_index(int(ratio.argmax()), ratio.shape)
+    if not ratio[at, factor] > LIKELIHOOD_RATIO:
         return None
     first = last = int(at)
     while True:
-        later = [a[last + 1 :, level] - a[last, level] for a in (degrees, squares)]
-        ratio = _step_ratios(*later) if len(later[0]) else np.zeros(1)
+        later_sums = [a[last + 1 :, factor] - a[last, factor] for a in (degrees, squares)]
+        ratio = _step_ratios(*later_sums) if len(later_sums[0]) else np.zeros(1)
         if not ratio.max() > LIKELIHOOD_RATIO:
-            return first + 1, last + 1, int(level)
+            return first + 1, last + 1, int(factor)
         last += 1 + int(ratio.argmax())
 
 
 def _step_ratios(degrees: Floats, squares: Floats) -> Floats:
     """Return twice the log likelihood ratio of a step after each row, (rows, ...).
 
-    ``degrees`` and ``squares`` are cumulative sums, (rows, ...). The result is -inf for rows with
-    too few data before or after them.
+    ``degrees`` and ``squares`` are cumulative sums, (rows, ...). The result is -inf where the data
+    before or after the step are too few.
     """
     nu = degrees, degrees[-1] - degrees, degrees[-1]
     sums = squares, squares[-1] - squares, squares[-1]
     with np.errstate(invalid='ignore', divide='ignore'):
-        before, after, both = (n * np.log(p / n) for n, p in zip(nu, sums))
-        gain = both - before - after
-    enough = (nu[0] >= MIN_STEP_EDF) & (nu[1] >= MIN_STEP_EDF) & (sums[0] > 0.0) & (sums[1] > 0.0)
-    return np.where(enough, gain, -np.inf)
+        of_rows_before, of_rows_after, of_all_rows = (n * np.log(p / n) for n, p in zip(nu, sums))
+        doubled_log_ratio = of_all_rows - of_rows_before - of_rows_after
+    has_enough_data = (
+        (nu[0] >= MIN_STEP_EDF) & (nu[1] >= MIN_STEP_EDF) & (sums[0] > 0.0) & (sums[1] > 0.0)
+    )
+    return np.where(has_enough_data, doubled_log_ratio, -np.inf)

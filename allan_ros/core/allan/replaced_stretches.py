@@ -3,7 +3,8 @@
 """Stretches of samples that were replaced by a line, counted by length.
 
 The line joins the mean of ``level`` samples before the stretch and the mean of ``level`` samples
-after it. The level is 1 for a gap or a spike, and the length of some windows for a shock.
+after it. The level is 1 for a gap or a spike. For a shock, the level is the number of samples in
+several windows of the motion detector.
 
 Table
 -----
@@ -19,12 +20,12 @@ from numpy.typing import NDArray
 Ints = NDArray[np.int64]
 
 COUNTED_BITS = 7
-"""Significant bits of a length in a table. Lengths of 128 samples or more are rounded, with a
-relative error below 1/128, so that the table remains small."""
+"""Number of significant bits of a length in a table. Lengths of 128 samples or more are rounded,
+with a relative error below 1/128, so that the table remains small."""
 
 
 def no_stretches(axes: int) -> Ints:
-    """Return the table without a stretch, (0, 2 + axes)."""
+    """Return a table without stretches, (0, 2 + axes)."""
     return np.zeros((0, 2 + axes), np.int64)
 
 
@@ -34,9 +35,9 @@ def add_stretches(a: Ints, b: Ints) -> Ints:
     All tables are (rows, 2 + axes).
     """
     rows = np.concatenate([a, b])
-    keys, of_row = np.unique(rows[:, :2], axis=0, return_inverse=True)
+    keys, key_of_row = np.unique(rows[:, :2], axis=0, return_inverse=True)
     total = np.zeros((len(keys), rows.shape[1] - 2), np.int64)
-    np.add.at(total, of_row.reshape(-1), rows[:, 2:])
+    np.add.at(total, key_of_row.reshape(-1), rows[:, 2:])
     return np.asarray(np.column_stack([keys, total]))
 
 
@@ -55,7 +56,9 @@ class RunningStretches:
 
     def __init__(self, axes: int) -> None:
         self.table = no_stretches(axes)
-        self._open = np.zeros((2, axes), np.int64)  # length and level of the stretch at the end
+        # length and level of the stretch that has not ended yet; 0 on an axis without such a
+        # stretch
+        self._open = np.zeros((2, axes), np.int64)
 
     def add(self, levels: NDArray[np.int32] | None) -> None:
         """Count the stretches in the next samples.
@@ -68,23 +71,27 @@ class RunningStretches:
             levels = np.zeros((axes, 1), np.int32)
         if not (self._open.any() or levels.any()):
             return
-        found = []
+        new_rows = []
         for axis, (length, level) in enumerate(self._open.T.tolist()):
             changes = np.flatnonzero(np.diff(levels[axis], prepend=level))
-            starts = np.concatenate([[-length], changes])
-            kinds = np.concatenate([[level], levels[axis, changes]])
-            ended = np.column_stack([np.diff(starts), kinds[:-1]])[kinds[:-1] > 0]
-            for (n, kind), number in zip(*np.unique(ended, axis=0, return_counts=True)):
+            starts_of_runs = np.concatenate([[-length], changes])
+            levels_of_runs = np.concatenate([[level], levels[axis, changes]])
+            ended_stretches = np.column_stack([np.diff(starts_of_runs), levels_of_runs[:-1]])[
+                levels_of_runs[:-1] > 0
+            ]
+            for (n, level_of_run), number in zip(
+                *np.unique(ended_stretches, axis=0, return_counts=True)
+            ):
                 row = np.zeros(2 + axes, np.int64)
-                row[[0, 1, 2 + axis]] = _counted(int(n)), kind, number
-                found.append(row)
-            length = levels.shape[1] - int(starts[-1])
-            self._open[:, axis] = (length, kinds[-1]) if kinds[-1] else 0
-        if found:
-            self.table = add_stretches(self.table, np.array(found))
+                row[[0, 1, 2 + axis]] = _counted(int(n)), level_of_run, number
+                new_rows.append(row)
+            length = levels.shape[1] - int(starts_of_runs[-1])
+            self._open[:, axis] = (length, levels_of_runs[-1]) if levels_of_runs[-1] else 0
+        if new_rows:
+            self.table = add_stretches(self.table, np.array(new_rows))
 
 
 def _counted(length: int) -> int:
-    """Return a length with `COUNTED_BITS` significant bits."""
+    """Return a length, rounded to `COUNTED_BITS` significant bits."""
     unit = 1 << max(length.bit_length() - COUNTED_BITS, 0)
     return (length + unit // 2) // unit * unit

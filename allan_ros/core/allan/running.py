@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Running sums of one stream: Allan sums, octave spectra and block means in one pass."""
+"""Running sums of one stream: Allan sums, octave spectra and block means, updated by each chunk."""
 
 from __future__ import annotations
 
@@ -30,7 +30,8 @@ from .sums import AllanSums, Lengths, add_lengths
 Floats = NDArray[np.float64]
 
 SEGMENT_MEANS = 512
-"""Largest number of means of a segment. If a segment has more, each two means become one."""
+"""Largest number of block means of a segment. If a segment has more, each pair of means is
+merged."""
 
 
 @dataclass(frozen=True)
@@ -42,49 +43,55 @@ class _RunningPeriod:
     # from there to the period
     start: tuple[int, int]
     samples: int
-    total: Floats  # (axes + 1,) sums of the samples, then the number of interpolated samples
-    levels: tuple[LevelSums, ...] = ()
+    # (axes + 1,) sums of the samples minus the first sample of the recording, then the number of
+    # interpolated samples
+    total: Floats
+    levels: tuple[LevelSums, ...] = ()  # sums of each level of the cascade, from level 0 on
 
     def plus(self, levels: Iterable[LevelSums]) -> _RunningPeriod:
-        """Return the period after the sums of some levels were added."""
-        both = list(self.levels)
-        for more in levels:
-            for j in range(len(both), more.level):
-                both.append(LevelSums.zero(j, more.values.shape[1]))
-            if more.level == len(both):
-                both.append(more)
+        """Return the period with the given sums added to the sums of the same levels."""
+        summed = list(self.levels)
+        for added in levels:
+            for j in range(len(summed), added.level):
+                summed.append(LevelSums.zero(j, added.values.shape[1]))
+            if added.level == len(summed):
+                summed.append(added)
             else:
-                both[more.level] = both[more.level] + more
-        return _RunningPeriod(self.begin, self.start, self.samples, self.total, tuple(both))
+                summed[added.level] = summed[added.level] + added
+        return _RunningPeriod(self.begin, self.start, self.samples, self.total, tuple(summed))
 
     def extended(self, later: _RunningPeriod) -> _RunningPeriod:
-        """Return this period and the next one as one period."""
+        """Return this period and the next period as one period."""
         samples, total = self.samples + later.samples, self.total + later.total
         return replace(self, samples=samples, total=total).plus(later.levels)
 
 
 class _OpenSegment:
-    """Cascade of the current segment, and sums over each ``step`` samples for the block means.
+    """Cascade of the current segment, and sums over blocks of ``step`` samples for its block means.
 
-    The last of these sums may be over fewer samples.
+    The last of these blocks may have fewer samples.
     """
 
     def __init__(self, first: Floats, start_ns: int, age: int) -> None:
-        self.age = age  # of the first sample of the segment
+        self.age = age  # age of the first sample of the segment
         self.start_ns = self.last_ns = start_ns
         self.cascade = Cascade(first)
-        self.sums, self.step = np.zeros((len(first), 0)), 1
+        self.sums, self.step = np.zeros((len(first), 0)), 1  # sums: (axes, blocks)
 
     def extended(self, block: Block) -> tuple[Floats, int]:
-        """Return sums and step after a block of level 0; with too many sums, the step doubles."""
+        """Return the sums and the step after the samples of a block of level 0 were added.
+
+        The step doubles if there are too many sums.
+        """
         samples, step, sums = block.samples[:-1], self.step, self.sums.copy()
-        rest = min(-block.begin % step, samples.shape[1])  # samples that complete the last sum
-        if rest:
-            sums[:, -1] += samples[:, :rest].sum(axis=1)
-        end = samples.shape[1] - (samples.shape[1] - rest) % step
-        complete = samples[:, rest:end].reshape(len(samples), -1, step) @ np.ones(step)
-        last = samples[:, end:].sum(axis=1, keepdims=True)[:, : samples.shape[1] - end]
-        sums = np.concatenate([sums, complete, last], axis=1)
+        # number of samples that the last sum needs to be complete
+        missing = min(-block.begin % step, samples.shape[1])
+        if missing:
+            sums[:, -1] += samples[:, :missing].sum(axis=1)
+        end = samples.shape[1] - (samples.shape[1] - missing) % step
+        complete_sums = samples[:, missing:end].reshape(len(samples), -1, step) @ np.ones(step)
+        incomplete_sum = samples[:, end:].sum(axis=1, keepdims=True)[:, : samples.shape[1] - end]
+        sums = np.concatenate([sums, complete_sums, incomplete_sum], axis=1)
         while (block.begin + samples.shape[1]) // step > SEGMENT_MEANS:
             sums, step = np.add.reduceat(sums, range(0, sums.shape[1], 2), axis=1), 2 * step
         return sums, step
@@ -99,8 +106,8 @@ class _State:
 
     reference: Floats  # (axes,) first sample of the recording
     periods: tuple[_RunningPeriod, ...] = ()
-    samples: int = 0
-    elapsed_ns: int = 0
+    samples: int = 0  # number of samples
+    elapsed_ns: int = 0  # time from the first to the last stamp of each segment, summed
     lengths: Lengths = ()
     means: tuple[BlockMeans, ...] = ()
 
@@ -183,7 +190,7 @@ class RunningSums:
         first_ns, last_ns : int
             Stamps of the first and of the last of these samples in ns.
         interpolated : (n,) array of bool, optional
-            Whether each sample is interpolated on some axis; None if no sample is.
+            Whether each sample is interpolated on some axis; None if no sample is interpolated.
         """
         values = np.asarray(samples, float)
         if not len(values):
@@ -219,25 +226,30 @@ class RunningSums:
 
     @property
     def sums(self) -> AllanSums:
-        """The sums as if the current segment ended with the last sample; the state is unchanged."""
+        """The Allan sums as if the current segment ended with the last sample.
+
+        The state is unchanged.
+        """
         state = self._at_end
         intervals = state.samples - sum(number for _, number in state.lengths)
         if not state.samples:
             return AllanSums.empty(self._identity, self._axes)
-        parts = [_arrays(p) for p in state.periods]
-        count, sum_sq, group_count, group_sum_sq = (totals(a) for a in list(zip(*parts))[:4])
-        some = int(np.count_nonzero(count))
+        arrays_of_periods = [_arrays(p) for p in state.periods]
+        count, sum_sq, group_count, group_sum_sq = (
+            totals(a) for a in list(zip(*arrays_of_periods))[:4]
+        )
+        factors = int(np.count_nonzero(count))
         periods = tuple(
             _period(p, arrays, state.elapsed_ns, intervals)
-            for p, arrays in zip(state.periods, parts)
+            for p, arrays in zip(state.periods, arrays_of_periods)
         )
         return AllanSums(
             self._identity,
             self._axes,
-            count[:some],
-            sum_sq[:some],
-            group_count[:some],
-            group_sum_sq[:some],
+            count[:factors],
+            sum_sq[:factors],
+            group_count[:factors],
+            group_sum_sq[:factors],
             state.elapsed_ns,
             intervals,
             (RecordedPeriods(periods, state.means, state.reference),),
@@ -251,7 +263,7 @@ class RunningSums:
 
 
 def _arrays(period: _RunningPeriod) -> list[NDArray]:  # type: ignore[type-arg]
-    """Return the arrays of `LevelSums.arrays`, each joined over all levels."""
+    """Return the arrays of `LevelSums.arrays`, each concatenated over all levels."""
     return [np.concatenate(a) for a in zip(*(level.arrays for level in period.levels))]
 
 
@@ -263,8 +275,8 @@ def _period(
 ) -> Period:
     """Return the rounded sums of a period; the sample period is elapsed_ns / intervals."""
     count, sum_sq, _, _, blocks, pairs, power = arrays
-    start_ns, since = period.start
+    start_ns, samples_before = period.start
     total, interpolated = period.total[:-1], round(float(period.total[-1]))
-    begin_ns = start_ns + since * elapsed_ns // max(intervals, 1)
+    begin_ns = start_ns + samples_before * elapsed_ns // max(intervals, 1)
     number = (period.begin, period.samples, begin_ns)
     return Period(*number, count, sum_sq, blocks, pairs, power, total, interpolated).stored()

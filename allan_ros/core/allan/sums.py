@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""`AllanSums`: sums over the samples of an IMU, from which its noise is computed.
+"""`AllanSums`: sums over the samples of an IMU, from which the noise of the IMU is computed.
 
 Definitions
 -----------
@@ -37,17 +37,19 @@ from .replaced_stretches import add_stretches, no_stretches, scaled_stretches
 Floats = NDArray[np.float64]
 
 LENGTH_CLASS_RATIO = 1.1
-"""Ratio of the longest to the shortest segment in a length class."""
+"""Largest ratio of the lengths of two segments in a length class. Allan sums contain the number of
+segments in each class, not the length of each segment."""
 
 TAU0_TOLERANCE = 1e-3
 """Largest relative difference of the sample periods of two Allan sums that can be added."""
 
 Lengths = tuple[tuple[int, int], ...]
-"""Total samples and number of the segments of each length class, shortest first."""
+"""Total number of samples, and number of segments, of each length class, shortest segments
+first."""
 
 
 def length_class(samples: float) -> int:
-    """Return the index of the length class of a segment, floor(log(samples) / log(1.1))."""
+    """Return the index floor(log(samples) / log(1.1)) of the length class of a segment."""
     return int(math.log(samples) / math.log(LENGTH_CLASS_RATIO))
 
 
@@ -56,42 +58,45 @@ def add_lengths(a: Lengths, b: Lengths) -> Lengths:
     total: dict[int, tuple[int, int]] = {}
     for samples, number in a + b:
         i = length_class(samples / number)
-        known = total.get(i, (0, 0))
-        total[i] = known[0] + samples, known[1] + number
+        earlier = total.get(i, (0, 0))
+        total[i] = earlier[0] + samples, earlier[1] + number
     return tuple(total[i] for i in sorted(total))
 
 
 @dataclass(frozen=True, eq=False)
 class AllanSums(ByValue):
-    """Sums over the samples of one stream; ``+`` adds the sums of another recording of the IMU.
+    """Sums over the samples of one stream; ``+`` adds another recording of the same IMU.
 
-    The order of additions changes a sum only by rounding, by at most 1e-12 of the sum. Only the
-    limits of the periods may depend on the order.
+    The order of additions changes ``sum_sq`` and ``group_sum_sq`` only by rounding errors, at most
+    1e-12 of a sum. The limits of the periods may depend on the order.
 
     Attributes
     ----------
     identity : ImuIdentity
         Frame and hardware id of the IMU.
     axes : tuple of str
-        Names of the axes, in the order of `AXES`: the last dimension of the arrays.
+        Names of the axes, in the order of `AXES`. The last dimension of the arrays has this order.
     count : (factors,) int64 array
         Number of second differences at each averaging factor in ``m``.
     sum_sq : (factors, axes) float64 array
         Sum of the squares d^2 of the second differences, in the squared unit of the samples.
     group_count, group_sum_sq : arrays of the same shapes
-        Number and sum of squares of non-overlapping differences, which start at samples 0, m, 2m
-        ...
+        Number, and sum of squares, of the second differences that start at the samples 0, m, 2m ...
+        They give the non-overlapping Allan variance.
     elapsed_ns, intervals : int
-        Time from the first to the last stamp of each segment in ns, and number of sample periods
-        in this time, both summed over the segments. Their quotient is the sample period.
+        Time from the first to the last stamp of each segment in ns, and number of sample periods in
+        this time, both summed over the segments. ``elapsed_ns`` / ``intervals`` is the sample
+        period.
     recordings : tuple of RecordedPeriods
-        Sums by period of time, octave spectra and block means of each recording, in the order of
-        time.
+        The periods of each recording, with their sums and octave spectra, and its block means. The
+        recordings are in the order of time.
     lengths : tuple of pairs of int
-        Total samples and number of segments in each length class, shortest first.
+        Total number of samples, and number of segments, of each length class. The class of the
+        shortest segments is first.
     replaced : (stretches, 2 + axes) int64 array
-        Stretches of samples that were replaced by a line: length, level, and number of such
-        stretches on each axis. The rows are sorted by length and level.
+        Table of the stretches of samples that were replaced by a line: length, level (see
+        `replaced_stretches`), and number of such stretches on each axis. The rows are sorted by
+        length and level.
     """
 
     identity: ImuIdentity
@@ -110,10 +115,10 @@ class AllanSums(ByValue):
     def empty(
         cls, identity: ImuIdentity = ImuIdentity(), axes: tuple[str, ...] = AXES
     ) -> AllanSums:
-        """Return the sums over zero samples; their addition to other sums changes nothing."""
-        none, no_sums = np.zeros(0, np.int64), np.zeros((0, len(axes)))
-        table = no_stretches(len(axes))
-        return cls(identity, axes, none, no_sums, none, no_sums, replaced=table)
+        """Return the sums over zero samples; adding these to other sums changes nothing."""
+        no_counts, no_sums = np.zeros(0, np.int64), np.zeros((0, len(axes)))
+        no_table = no_stretches(len(axes))
+        return cls(identity, axes, no_counts, no_sums, no_counts, no_sums, replaced=no_table)
 
     @property
     def m(self) -> NDArray[np.int64]:
@@ -142,7 +147,7 @@ class AllanSums(ByValue):
 
     @property
     def length_histogram(self) -> tuple[tuple[float, int], ...]:
-        """Pairs (mean length, number of segments) of each length class, longest first."""
+        """Mean length in samples, and number of segments, of each length class, longest first."""
         return tuple((samples / number, number) for samples, number in reversed(self.lengths))
 
     @property
@@ -165,7 +170,7 @@ class AllanSums(ByValue):
 
     @property
     def _tau0_uncertainty(self) -> float:
-        """Relative error of tau0 if both end stamps of each segment are wrong by one period."""
+        """Relative error of tau0 if both ends of each segment are wrong by one sample period."""
         return 2.0 * self.segment_count / self.intervals if self.intervals else 0.0
 
     def __deepcopy__(self, memo: object) -> AllanSums:
@@ -223,10 +228,11 @@ class AllanSums(ByValue):
 
 
 def add_sums(a: Sequence[AllanSums], b: Sequence[AllanSums]) -> tuple[AllanSums, ...]:
-    """Return the sums over two recordings of one IMU, whose sensors may have different rates.
+    """Return the sums over two recordings of one IMU, given the sums of each recording.
 
-    A recording has one `AllanSums` with all axes, or one for each sensor if their rates differ.
-    `AllanSums` with equal axes are added. If one sequence is empty, the other sequence is returned.
+    A recording has one `AllanSums` with all axes, or one `AllanSums` for each sensor if the rates
+    of the sensors differ. `AllanSums` with equal axes are added. If one sequence is empty, the
+    other sequence is returned.
 
     Raises
     ------
@@ -237,16 +243,18 @@ def add_sums(a: Sequence[AllanSums], b: Sequence[AllanSums]) -> tuple[AllanSums,
         return tuple(a or b)
     by_axes = {s.axes: s for s in b}
     if set(by_axes) != {s.axes for s in a}:
-        one, other = (' and separately '.join(', '.join(s.axes) for s in sums) for sums in (a, b))
+        axes_of_a, axes_of_b = (
+            ' and separately '.join(', '.join(s.axes) for s in sums) for sums in (a, b)
+        )
         raise AllanError(
-            f'sums of {one} and of {other} cannot be added: the sensors differ, analyze them '
-            'separately'
+            f'sums of {axes_of_a} and of {axes_of_b} cannot be added: the sensors differ, '
+            'analyze them separately'
         )
     return tuple(s + by_axes[s.axes] for s in a)
 
 
 def check_same_imu(a: Sequence[AllanSums], b: Sequence[AllanSums]) -> None:
-    """Check that the sums of two recordings have the same IMU and rate on their common axes.
+    """Check that two recordings are of the same IMU, and have equal rates on their common axes.
 
     Raises
     ------
@@ -262,42 +270,44 @@ def check_same_imu(a: Sequence[AllanSums], b: Sequence[AllanSums]) -> None:
 
 
 def part(sums: AllanSums, first: int) -> AllanSums:
-    """Return the sums over the periods of each recording from the index ``first`` on.
+    """Return the sums over the later periods of each recording, from the index ``first`` on.
 
     A negative ``first`` counts from the last period. Block means outside of these periods are
     removed, and the result has no non-overlapping differences. Long blocks of the cascade belong to
     the period in which they begin, so a part may have few differences at large averaging factors.
     Where the block means give more differences, the differences of block means are used instead.
     """
-    kept = [r for r in (_excerpt(r, sums.tau0, first) for r in sums.recordings) if r.periods]
-    samples, most = sum(r.samples for r in kept), len(sums.count)
-    count, sum_sq = np.zeros(most, np.int64), np.zeros((most, len(sums.axes)))
-    for period in (p for r in kept for p in r.periods):
+    kept_recordings = [
+        r for r in (_excerpt(r, sums.tau0, first) for r in sums.recordings) if r.periods
+    ]
+    samples, factors = sum(r.samples for r in kept_recordings), len(sums.count)
+    count, sum_sq = np.zeros(factors, np.int64), np.zeros((factors, len(sums.axes)))
+    for period in (p for r in kept_recordings for p in r.periods):
         count = add_padded(count, period.count)
         sum_sq = add_padded(sum_sq, period.sum_sq)
     for i, (m, stride) in enumerate(zip(sums.m.tolist(), sums.stride.tolist())):
-        number, squares = _from_means(kept, m, stride)
+        number, squares = _from_means(kept_recordings, m, stride)
         if number > count[i]:
             count[i], sum_sq[i] = number, squares
-    some = nonzero_length(count)
+    used_factors = nonzero_length(count)
     lengths = _lengths(sums.lengths, samples)
     intervals = samples - sum(number for _, number in lengths)
     return replace(
         sums,
-        count=count[:some],
-        sum_sq=sum_sq[:some],
-        group_count=np.zeros(some, np.int64),
-        group_sum_sq=np.zeros((some, len(sums.axes))),
+        count=count[:used_factors],
+        sum_sq=sum_sq[:used_factors],
+        group_count=np.zeros(used_factors, np.int64),
+        group_sum_sq=np.zeros((used_factors, len(sums.axes))),
         elapsed_ns=round(sums.elapsed_ns * intervals / sums.intervals) if sums.intervals else 0,
         intervals=intervals,
-        recordings=tuple(kept),
+        recordings=tuple(kept_recordings),
         lengths=lengths,
         replaced=scaled_stretches(sums.replaced, samples / max(sums.samples, 1)),
     )
 
 
 def _excerpt(recording: RecordedPeriods, tau0: float | None, first: int) -> RecordedPeriods:
-    """Return a recording without the periods before the index ``first`` and their block means."""
+    """Return a recording without its periods before ``first`` and without their block means."""
     periods = recording.periods[first:]
     means: tuple[BlockMeans, ...] = ()
     if periods:
@@ -307,22 +317,26 @@ def _excerpt(recording: RecordedPeriods, tau0: float | None, first: int) -> Reco
 
 
 def _clipped(means: BlockMeans, tau0: float, begin: int) -> BlockMeans:
-    """Return the means over those blocks that start at the age ``begin`` or later."""
+    """Return the means over the blocks that start at the age ``begin`` or later."""
     step = means.step
-    low = min(max(-((means.age - begin) // step), 0), len(means.values))
+    first_mean = min(max(-((means.age - begin) // step), 0), len(means.values))
     return replace(
         means,
-        age=means.age + low * step,
-        start_ns=means.start_ns + round(low * step * tau0 * 1e9),
-        samples=means.samples - low * step,
-        values=means.values[low:],
+        age=means.age + first_mean * step,
+        start_ns=means.start_ns + round(first_mean * step * tau0 * 1e9),
+        samples=means.samples - first_mean * step,
+        values=means.values[first_mean:],
     )
 
 
 def _from_means(
     recordings: list[RecordedPeriods], m: int, stride: int
 ) -> tuple[int, Floats | float]:
-    """Return number and sum of squares, (axes,), of the second differences from block means."""
+    """Return number and sum of squares, (axes,), of second differences of the phase.
+
+    The phase is computed from the block means, and ``m`` is the averaging factor. The sum is 0.0 if
+    there are no differences.
+    """
     number, squares = 0, 0.0
     for means in (means for r in recordings for means in r.means):
         step = means.step
@@ -339,16 +353,16 @@ def _from_means(
 
 
 def _lengths(lengths: Lengths, samples: int) -> Lengths:
-    """Return estimated segment lengths of a part with ``samples`` samples.
+    """Return the estimated length classes of a part of the data with ``samples`` samples.
 
     The lengths of the segments of a part are not stored. Each length class is assumed to have the
     same share of the samples as in the complete data, whose ``lengths`` are given.
     """
     share = samples / max(sum(total for total, _ in lengths), 1)
     scaled = [(round(total * share), round(number * share)) for total, number in lengths]
-    kept = [(total, number) for total, number in scaled if 0 < number <= total]
-    if not kept:
+    kept_classes = [(total, number) for total, number in scaled if 0 < number <= total]
+    if not kept_classes:
         return ((samples, 1),) if samples else ()
-    _, number = kept.pop()  # the class of the longest segments gets the remaining samples
-    rest = samples - sum(total for total, _ in kept)
-    return add_lengths((), (*kept, (max(rest, number), number)))
+    _, number = kept_classes.pop()  # the class of the longest segments gets the remaining samples
+    remaining = samples - sum(total for total, _ in kept_classes)
+    return add_lengths((), (*kept_classes, (max(remaining, number), number)))

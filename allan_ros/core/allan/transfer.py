@@ -9,8 +9,9 @@ the difference d of two sensors contains only the own noise of both, so d is inc
 third sensor z. Otherwise d contains at least the power |S_dz|^2 / S_zz of the common signal (J. S.
 Bendat, A. G. Piersol, Random Data, 2010, section 6.1), which would be mistaken for own noise.
 
-If H_i is a factor g_i, it can be corrected: the cross spectrum of two sensors has the factor
-g_i g_j and contains no own noise. A lever arm, a delay or a resonance cannot be corrected.
+If H_i is a constant factor g_i, it can be determined and corrected: the cross spectrum of two
+sensors has the factor g_i g_j and contains no own noise. A lever arm, a delay or a resonance cannot
+be corrected.
 """
 
 from __future__ import annotations
@@ -37,12 +38,12 @@ between the stamps of two IMUs, up to half a sample, have an effect. The fit of 
 like Q for this effect."""
 
 LARGEST_LEAK = 0.1
-"""Largest share of the common signal in the power of a difference. This share increases N by 5
-%."""
+"""Largest share of the common signal in the power of a difference of two sensors for which the
+sensors are treated as equal. This share increases the own N by 5 %."""
 
 LEAST_CONTRAST = 0.5
-"""Least standard deviation of the common power over the frequencies, relative to its mean, for
-which two sensors alone determine the ratio of their factors."""
+"""Least standard deviation of the common power over the frequencies, relative to the mean of the
+common power, for which the ratio of the factors of two sensors can be determined."""
 
 
 class Transfer(NamedTuple):
@@ -53,8 +54,8 @@ class Transfer(NamedTuple):
     gains : (sensors,) array
         Factor of each sensor; their geometric mean is 1.
     leak : float
-        Largest share of the common signal in the power of the difference of two sensors, after the
-        factors are corrected.
+        Share of the common signal in the power of the difference of two sensors, for the pair with
+        the largest share, after the factors are corrected.
     """
 
     gains: Floats
@@ -67,65 +68,73 @@ class Transfer(NamedTuple):
 
 
 def transfer(parts: Sequence[Floats]) -> Transfer:
-    """Return the factors with which sensors measure a common signal, and what remains of it.
+    """Return the factors with which sensors measure a common signal, and the remaining leak.
 
     ``parts`` are samples without gaps, each (sensors, n). The factors are 1 if the share of the
     common signal in the differences is below `LARGEST_LEAK` without factors, if the factors do not
     reduce this share, or if there are too few samples.
     """
-    equal = np.ones(len(parts[0]) if parts else 0)
-    if not len(equal):
-        return Transfer(equal, 0.0)
+    unit_gains = np.ones(len(parts[0]) if parts else 0)
+    if not len(unit_gains):
+        return Transfer(unit_gains, 0.0)
     spectra, blocks = cross_spectra(parts)
     if blocks < LEAST_BLOCKS:
-        return Transfer(equal, 0.0)
+        return Transfer(unit_gains, 0.0)
     leak = _leak(spectra, blocks)
     if leak < LARGEST_LEAK:
-        return Transfer(equal, leak)
+        return Transfer(unit_gains, leak)
     gains = _gains(spectra)
     corrected = _leak(spectra / np.outer(gains, gains), blocks)
-    return Transfer(gains, corrected) if corrected < leak else Transfer(equal, leak)
+    return Transfer(gains, corrected) if corrected < leak else Transfer(unit_gains, leak)
 
 
 def cross_spectra(parts: Sequence[Floats]) -> tuple[Spectra, float]:
     """Return the cross spectra, (frequencies, sensors, sensors), and the number of blocks.
 
-    Overlapping blocks count as the number of independent blocks with the same errors. The
-    frequencies are from two periods per block to `HIGHEST`.
+    The number of blocks is the number of independent blocks that would give the same errors as the
+    overlapping blocks. ``parts`` are samples without gaps, each (sensors, n). The frequencies are
+    from two periods per block to `HIGHEST`.
     """
     window = np.hanning(BLOCK + 1)[:BLOCK]
     total, number = np.zeros((BLOCK // 2 + 1, *2 * (len(parts[0]),)), complex), 0
     for samples in parts:
         starts = np.arange(0, samples.shape[1] - BLOCK + 1, BLOCK // 2)
-        for some in np.array_split(starts, max(len(starts) // 512, 1)):
-            blocks = samples[:, some[:, None] + np.arange(BLOCK)]
+        for block_starts in np.array_split(starts, max(len(starts) // 512, 1)):
+            blocks = samples[:, block_starts[:, None] + np.arange(BLOCK)]
             blocks = blocks - blocks.mean(axis=2, keepdims=True)
-            f = np.fft.rfft(blocks * window, axis=2)
-            total += np.einsum('akf,bkf->fab', f, f.conj())
-            number += len(some)
+            transforms = np.fft.rfft(blocks * window, axis=2)
+            total += np.einsum('akf,bkf->fab', transforms, transforms.conj())
+            number += len(block_starts)
     # from bin 2 on, because the window spreads the power of bin 0 into bin 1
-    used = slice(2, round(HIGHEST * BLOCK) + 1)
-    return np.asarray(total[used] / max(number, 1), np.complex128), 0.95 * number
+    used_bins = slice(2, round(HIGHEST * BLOCK) + 1)
+    return np.asarray(total[used_bins] / max(number, 1), np.complex128), 0.95 * number
 
 
 def _leak(spectra: Spectra, blocks: float) -> float:
-    """Return the largest share of the common signal in the difference of two sensors."""
+    """Return the share of the common signal in the power of the difference of two sensors.
+
+    The share is for the pair of sensors with the largest share. ``blocks`` is the number of
+    independent blocks of the ``spectra``.
+    """
     number = spectra.shape[1]
-    found = [0.0]
+    shares = [0.0]
     for i, j in combinations(range(number), 2):
-        d = np.zeros(number)
-        d[i], d[j] = 1.0, -1.0
-        others = [np.eye(number)[k] for k in range(number) if k not in (i, j)]
-        z = np.sum(others, axis=0) if others else np.abs(d)
-        power, of_z = (np.einsum('a,fab,b->f', x, spectra, x).real for x in (d, z))
-        cross = np.einsum('a,fab,b->f', d, spectra, z)
-        if not power.all() or not of_z.all():  # a sensor without noise
+        weights_of_d = np.zeros(number)
+        weights_of_d[i], weights_of_d[j] = 1.0, -1.0
+        third_sensors = [np.eye(number)[k] for k in range(number) if k not in (i, j)]
+        weights_of_z = np.sum(third_sensors, axis=0) if third_sensors else np.abs(weights_of_d)
+        power, power_of_z = (
+            np.einsum('a,fab,b->f', x, spectra, x).real for x in (weights_of_d, weights_of_z)
+        )
+        cross = np.einsum('a,fab,b->f', weights_of_d, spectra, weights_of_z)
+        if not power.all() or not power_of_z.all():  # a sensor without noise
             continue
-        if not others:  # z is the sum of both sensors, so the cross spectrum contains own noise
-            cross = cross - _intercept(of_z, cross.real)
-        leak = np.abs(cross) ** 2 / of_z - power / blocks
-        found.append(float(leak.sum() / power.sum()))
-    return max(found)
+        # without third sensors, z is the sum of both sensors, and ``cross`` contains own noise
+        if not third_sensors:
+            cross = cross - _intercept(power_of_z, cross.real)
+        common_power = np.abs(cross) ** 2 / power_of_z - power / blocks
+        shares.append(float(common_power.sum() / power.sum()))
+    return max(shares)
 
 
 def _intercept(x: Floats, y: Floats) -> float:
@@ -148,13 +157,16 @@ def _gains(spectra: Spectra) -> Floats:
     number = spectra.shape[1]
     gains = np.ones(number)
     if number == 2:
-        shared = np.maximum(spectra[:, 0, 1].real, 0.0)
-        own = [spectra[:, i, i].real for i in range(2)]
-        if shared.std() < LEAST_CONTRAST * shared.mean():
+        cross_spectrum = np.maximum(spectra[:, 0, 1].real, 0.0)
+        auto_spectra = [spectra[:, i, i].real for i in range(2)]
+        if cross_spectrum.std() < LEAST_CONTRAST * cross_spectrum.mean():
             return gains
-        weight = 1.0 / (own[0] * own[1])
-        mean = np.average(shared, weights=weight)
-        slopes = [np.average((shared - mean) * one, weights=weight) for one in own]
+        weight = 1.0 / (auto_spectra[0] * auto_spectra[1])
+        mean = np.average(cross_spectrum, weights=weight)
+        slopes = [
+            np.average((cross_spectrum - mean) * auto_spectrum, weights=weight)
+            for auto_spectrum in auto_spectra
+        ]
         if min(slopes) > 0.0:
             gains = np.array([slopes[0] / slopes[1], 1.0]) ** 0.5
     else:

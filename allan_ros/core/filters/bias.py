@@ -37,7 +37,7 @@ STORED_MEANS = 600
 the noise model changes: 10 min."""
 
 STEP_MEANS, STEP_SIGMA = 30, 6.0
-"""The bias has made a step if the sum of the prediction errors of the latest means exceeds
+"""A step of the bias is detected if the sum of the prediction errors of the latest means exceeds
 `STEP_SIGMA` standard deviations of this sum. Sums over 1 to `STEP_MEANS` means are tested."""
 
 
@@ -51,8 +51,8 @@ class BiasModel(NamedTuple):
     def of_fit(cls, fit: AxisFit) -> BiasModel:
         """Return the model from the fit of an axis.
 
-        The standard deviation of the slope is the root of the sum of the squares of R and of its
-        standard error, even if R is not resolved. If the slope was omitted, the 95 % interval of
+        The prior standard deviation of the slope is sqrt(R^2 + s^2), where s is the standard error
+        of R. The model has a slope even if R is not resolved: without a slope, the 95 % interval of
         the bias 10 min ahead would contain only 89 to 93 % of the values of simulated sensors.
         """
         ramp = fit.noise['R'].magnitude
@@ -95,10 +95,10 @@ class BiasFilter:
         self._space = replace(space, slope=bool(model.slope_std))
         self._slope_std = model.slope_std
         self._phi, self._noise = self._space.transition(MEAN_S), self._space.noise(MEAN_S)
-        self._known = False  # whether a mean was added
+        self._has_mean = False  # whether a mean has been added
         self._state = np.zeros(self._space.size)
         self._covariance = np.zeros((self._space.size, self._space.size))
-        # latest means and their prediction errors in standard deviations
+        # (mean, prediction error in standard deviations) of the latest means
         self._errors: deque[tuple[float, float]] = deque(maxlen=STEP_MEANS)
 
     def update(self, mean: float) -> None:
@@ -108,20 +108,24 @@ class BiasFilter:
         """
         self._update(mean)
         sums = np.cumsum([error for _, error in self._errors][::-1])
-        excess = np.abs(sums) / np.sqrt(np.arange(1, len(sums) + 1))
-        if excess.max() > STEP_SIGMA:
-            since = [mean for mean, _ in self._errors][-1 - int(excess.argmax()) :]
-            self._known = False
+        relative_sums = np.abs(sums) / np.sqrt(np.arange(1, len(sums) + 1))
+        if relative_sums.max() > STEP_SIGMA:
+            means_after_step = [mean for mean, _ in self._errors][
+                -1 - int(relative_sums.argmax()) :
+            ]
+            self._has_mean = False
             self._errors.clear()
-            for each in since:
+            for each in means_after_step:
                 self._update(each)
 
     def _update(self, mean: float) -> None:
-        if not self._known:  # the prior of the constant part of the bias is vague
-            spread = [value for value, _ in self._space.processes]
-            vague = 1e3 * (sum(spread) + self._space.white + self._space.walk + self._slope_std)
+        if not self._has_mean:  # the prior of the constant part of the bias is vague
+            deviations = [value for value, _ in self._space.processes]
+            vague_std = 1e3 * (
+                sum(deviations) + self._space.white + self._space.walk + self._slope_std
+            )
             self._state[1] = mean
-            self._covariance = self._space.initial_covariance(vague, self._slope_std)
+            self._covariance = self._space.initial_covariance(vague_std, self._slope_std)
         self._predict(self._phi, self._noise)
         variance = self._covariance[0, 0]
         gain = self._covariance[:, 0] / variance
@@ -129,27 +133,29 @@ class BiasFilter:
         self._errors.append((mean, float(error / math.sqrt(variance))))
         self._state = self._state + gain * error
         self._covariance = self._covariance - np.outer(gain, self._covariance[0])
-        self._known = True
+        self._has_mean = True
 
     def pause(self, seconds: float) -> None:
         """Predict the state over a time in s for which there is no mean, for example a motion."""
-        if self._known and seconds > 0.0:
+        if self._has_mean and seconds > 0.0:
             self._predict(self._space.transition(seconds), self._space.noise(seconds))
 
     def estimate(self) -> Estimate:
-        """Return the predicted mean bias over the next 10 s, in the unit of the samples.
+        """Return the predicted mean of the bias over the next 10 s, in the unit of the samples.
 
         Raises
         ------
         AllanError
-            If no mean has been added.
+            When no mean has been added.
         """
-        if not self._known:
+        if not self._has_mean:
             raise AllanError('the bias is not known: keep the sensor at rest for a second')
-        mean = self._space.transition(AHEAD_S)[0, 1:] / AHEAD_S
-        added = self._space.noise(AHEAD_S)[0, 0] - self._space.white**2 * AHEAD_S
-        variance = mean @ self._covariance[1:, 1:] @ mean + added / AHEAD_S**2
-        return Estimate.normal(float(mean @ self._state[1:]), math.sqrt(max(float(variance), 0.0)))
+        weights = self._space.transition(AHEAD_S)[0, 1:] / AHEAD_S
+        added_variance = self._space.noise(AHEAD_S)[0, 0] - self._space.white**2 * AHEAD_S
+        variance = weights @ self._covariance[1:, 1:] @ weights + added_variance / AHEAD_S**2
+        return Estimate.normal(
+            float(weights @ self._state[1:]), math.sqrt(max(float(variance), 0.0))
+        )
 
     def _predict(self, phi: Floats, noise: Floats) -> None:
         phi = phi.copy()
@@ -159,37 +165,40 @@ class BiasFilter:
 
 
 class BiasTracker:
-    """Estimates of the bias of all axes of an IMU from means at rest, by one `BiasFilter` per axis.
+    """Estimates the bias of each axis of an IMU from means at rest, with one `BiasFilter` per axis.
 
     When the noise models change, each filter restarts from the stored means of its axis. When the
-    time jumps back, as after a reset, the stored means are removed.
+    clock is set back, the stored means are removed.
     """
 
     def __init__(self) -> None:
         self._models: dict[str, BiasModel] = {}
         self._filters: dict[str, BiasFilter] = {}
-        self._kept: dict[str, deque[tuple[int, float]]] = {}
+        self._means: dict[str, deque[tuple[int, float]]] = {}
 
     def add_means(self, axis: str, end_ns: Sequence[int], values: Sequence[float]) -> None:
         """Add means of an axis over 1 s, and the times in ns at which they end.
 
-        Means that end at or before the latest stored mean are ignored. If all new means end before
-        it, the time has jumped back: then the stored means are removed, and all new means are used.
+        Means that are not later than the latest stored mean are ignored. But if all new means are
+        earlier than the latest stored mean, the time has jumped back. In this case, the stored
+        means are removed, and all new means are used.
         """
-        kept = self._kept.setdefault(axis, deque(maxlen=STORED_MEANS))
-        if kept and len(end_ns) and end_ns[-1] < kept[-1][0]:
-            kept.clear()
+        means = self._means.setdefault(axis, deque(maxlen=STORED_MEANS))
+        if means and len(end_ns) and end_ns[-1] < means[-1][0]:
+            means.clear()
             self._filters.pop(axis, None)
-        last = kept[-1][0] if kept else None
-        new = [(end, mean) for end, mean in zip(end_ns, values) if last is None or end > last]
-        kept.extend(new)
+        last_end = means[-1][0] if means else None
+        new_means = [
+            (end, mean) for end, mean in zip(end_ns, values) if last_end is None or end > last_end
+        ]
+        means.extend(new_means)
         if axis not in self._filters:
             self._restart(axis)
         else:
-            _add(self._filters[axis], new, last)
+            _add(self._filters[axis], new_means, last_end)
 
     def set_models(self, models: Mapping[str, BiasModel]) -> None:
-        """Replace the models of all axes, given by axis name."""
+        """Replace the models of all axes; ``models`` maps the name of an axis to its model."""
         if models == self._models:
             return
         self._models, self._filters = dict(models), {}
@@ -197,32 +206,33 @@ class BiasTracker:
             self._restart(axis)
 
     def bias(self, axis: str) -> Estimate | None:
-        """Return the predicted mean bias of an axis over the 10 s after the latest mean.
+        """Return the predicted mean of the bias of an axis over the 10 s after the latest mean.
 
-        The unit is the unit of the samples. The result is None without a model or a mean.
+        The bias has the unit of the samples. Returns None if the axis has no model or no mean.
         """
         return self._filters[axis].estimate() if axis in self._filters else None
 
     @property
     def end_ns(self) -> int:
-        """Time in ns at which the latest mean ends, of all axes with a bias; 0 if none has one."""
-        return max((self._kept[axis][-1][0] for axis in self._filters), default=0)
+        """End time in ns of the latest mean of all axes with a bias; 0 if no axis has a bias."""
+        return max((self._means[axis][-1][0] for axis in self._filters), default=0)
 
     def _restart(self, axis: str) -> None:
-        """Run a new filter of an axis over the stored means, if the axis has a model and means."""
-        if axis in self._models and (kept := self._kept.get(axis)):
+        """Start a new filter for an axis that has a model and means, and add the stored means."""
+        if axis in self._models and (means := self._means.get(axis)):
             self._filters[axis] = BiasFilter(self._models[axis])
-            _add(self._filters[axis], kept)
+            _add(self._filters[axis], means)
 
 
-def _add(bias: BiasFilter, means: Iterable[tuple[int, float]], last: int | None = None) -> None:
+def _add(bias: BiasFilter, means: Iterable[tuple[int, float]], last_end: int | None = None) -> None:
     """Add pairs (end time in ns, mean) to a filter.
 
-    ``last`` is the end time of the mean before the first pair; None if there is none.
+    ``last_end`` is the end time in ns of the mean before the first pair; None if the first pair is
+    the first mean of the filter.
     """
     for end, mean in means:
-        pause = 0.0 if last is None else (end - last) * 1e-9 - MEAN_S
+        pause = 0.0 if last_end is None else (end - last_end) * 1e-9 - MEAN_S
         if pause > 0.1 * MEAN_S:
             bias.pause(pause)
         bias.update(mean)
-        last = end
+        last_end = end

@@ -35,16 +35,16 @@ LARGEST_VARIANCE = 1e300
 finite numbers only."""
 
 LARGEST_LOG = 100.0
-"""Largest logarithm of the ratio of an end of an interval to the estimate."""
+"""Largest logarithm of the ratio between an estimate and an end of its interval."""
 
 HOUR = 3600.0
 """Duration of an hour in s."""
 
 INDEPENDENT = 2.0
-"""Number of independent errors in a time of h + W. The mean square of errors with the
-autocorrelation rho over a time T varies like the mean square of T / integral of rho^2 independent
-errors. For h = W, this number is 3.0 for white noise and 1.9 for a random walk in a time of h +
-W."""
+"""Assumed number of independent errors in a time of h + W. If the autocorrelation of the errors is
+rho, their mean square over a time T varies as much as the mean square of T / (integral of rho^2)
+independent errors. For h = W and T = h + W, this number is 3.0 for white noise and 1.9 for a random
+walk."""
 
 GROWTH_S = (1.0, 10.0, 30.0, 100.0, 300.0)
 GROWTH_WINDOW_S = 100.0
@@ -61,16 +61,19 @@ def predicted_growth(model: Model, horizon: ArrayLike, window: ArrayLike) -> Flo
     horizon : array
         Prediction horizons h in s, above 0.
     window : array
-        Times W in s over which the bias was averaged before, above 0; broadcasts with ``horizon``.
+        Times W in s, above 0, over which the bias was averaged before time 0; broadcasts with
+        ``horizon``.
 
     Returns
     -------
     float64 array
-        Standard deviation in the unit of the samples times s; shape of ``horizon``.
+        Standard deviation in the unit of the samples times s, with the broadcast shape of
+        ``horizon`` and ``window``.
 
     Examples
     --------
-    White noise with N = 1. The bias is averaged over 8 s, then the samples are integrated over 8 s:
+    White noise with N = 1. The bias is averaged over 8 s, and the samples are integrated over the
+    next 8 s:
 
     >>> float(predicted_growth(Model.of(N=1.0), 8.0, 8.0))
     4.0
@@ -121,7 +124,7 @@ def growth_table(
     horizons: tuple[float, ...] = GROWTH_S,
     window: float = GROWTH_WINDOW_S,
 ) -> tuple[Growth, ...]:
-    """Return the predicted error at some times after the last correction, with intervals.
+    """Return the predicted error at given times after the last correction, with intervals.
 
     Parameters
     ----------
@@ -135,45 +138,47 @@ def growth_table(
     Returns
     -------
     tuple of Growth
-        One for each horizon.
+        One element for each horizon.
 
     Notes
     -----
-    For the upper end of the interval, all terms have their 95 % upper limits. The distances of the
-    ends of the interval from the estimate are added in quadrature over the terms (method of
+    The variance due to each term is computed at both ends of the 95 % interval of its coefficient.
+    The interval of a term that is not resolved reaches from 0 to its upper limit. The distances of
+    these variances from the estimated variance are added in quadrature over the terms (method of
     variance estimates recovery; G. Y. Zou, A. Donner, Statistics in Medicine 2008). This assumes
     uncorrelated estimates. Estimates of neighboring terms are negatively correlated, which makes
     the interval too wide rather than too narrow.
 
-    The predictive interval contains the root mean square of the errors in another hour. The levels
-    of white noise and drift in that hour may differ from the levels in the recording, and an hour
-    contains a limited number of independent errors (`INDEPENDENT`).
+    The predictive interval contains the root mean square of the errors in another hour with a
+    probability of 95 %. The levels of white noise and drift in that hour may differ from the levels
+    in the recording, and an hour contains a limited number of independent errors (`INDEPENDENT`).
     """
     h = np.array(horizons)
     model = fit.model.drift
     std = predicted_growth(model, h, window)
-    ends = interval_models(fit, predictive=False)
-    if ends is None:
+    end_models = interval_models(fit, predictive=False)
+    if end_models is None:
         return tuple(
             Growth(float(one), window, Estimate(float(value))) for one, value in zip(h, std)
         )
-    low, high = (one.drift for one in ends)
+    low, high = (one.drift for one in end_models)
     high = high.changed(**{t: high.value(t) or _limit(fit, t) for t in 'NBKR'})
     parts = [growth_parts(one, h, window) for one in (model, low, high)]
     zero = np.zeros(len(h))
-    total, below, above, levels = zero, zero, zero, zero
+    total, distance_below, distance_above, scatter = zero, zero, zero, zero
     for process in {**parts[0], **parts[2]}:
         middle, bottom, top = (part.get(process, zero) for part in parts)
         total = total + middle
-        below = np.hypot(below, np.maximum(middle - bottom, 0.0))
-        above = np.hypot(above, np.maximum(top - middle, 0.0))
-        levels = levels + middle * (fit.white_scatter if process.is_white else fit.drift_scatter)
-    lowest, highest = np.sqrt(np.maximum(total - below, 0.0)), np.sqrt(total + above)
-    of_hour = Z_95 / np.sqrt(2.0 * INDEPENDENT * HOUR / (h + window))
+        distance_below = np.hypot(distance_below, np.maximum(middle - bottom, 0.0))
+        distance_above = np.hypot(distance_above, np.maximum(top - middle, 0.0))
+        scatter = scatter + middle * (fit.white_scatter if process.is_white else fit.drift_scatter)
+    lowest = np.sqrt(np.maximum(total - distance_below, 0.0))
+    highest = np.sqrt(total + distance_above)
+    hour_scatter = Z_95 / np.sqrt(2.0 * INDEPENDENT * HOUR / (h + window))
     with np.errstate(divide='ignore', invalid='ignore'):
-        other = np.hypot(levels / total, of_hour)
-        down, up = (
-            np.minimum(np.hypot(np.log(ratio), other), LARGEST_LOG)
+        next_hour_scatter = np.hypot(scatter / total, hour_scatter)
+        log_below, log_above = (
+            np.minimum(np.hypot(np.log(ratio), next_hour_scatter), LARGEST_LOG)
             for ratio in (std / lowest, highest / std)
         )
     return tuple(
@@ -183,7 +188,10 @@ def growth_table(
             Estimate(
                 float(std[i]),
                 (float(lowest[i]), float(highest[i])),
-                predictive_ci95=(float(std[i] * np.exp(-down[i])), float(std[i] * np.exp(up[i])))
+                predictive_ci95=(
+                    float(std[i] * np.exp(-log_below[i])),
+                    float(std[i] * np.exp(log_above[i])),
+                )
                 if std[i] > 0.0
                 else None,
             ),
@@ -193,22 +201,24 @@ def growth_table(
 
 
 def _limit(fit: AxisFit, term: str) -> float:
-    """Return the 95 % upper limit of a term, or 0 if it is unknown or infinite."""
+    """Return the 95 % upper limit of a term, or 0 if this limit is unknown or infinite."""
     value = fit.noise[term].upper95
     return value if value is not None and math.isfinite(value) else 0.0
 
 
 def interval_models(fit: AxisFit, predictive: bool = True) -> tuple[Model, Model] | None:
-    """Return the model with all coefficients at the lower, and at the upper ends of 95 % intervals.
+    """Return the model of an axis with its coefficients at the ends of their 95 % intervals.
 
-    The interval of a term with only a limit begins at 0. R is replaced by its magnitude, and Q by
-    0. Shapes and sinusoids are unchanged.
+    The first model has all coefficients at the lower ends, the second model at the upper ends. The
+    interval of a term that has only an upper limit begins at 0. R is replaced by its magnitude, and
+    Q by 0. Shapes and sinusoids are unchanged.
 
     Parameters
     ----------
     fit : AxisFit
+        Fit of one axis.
     predictive : bool
-        Whether the predictive intervals are used; else the intervals of the recording.
+        Whether the predictive intervals are used; if not, the intervals for the recording are used.
 
     Returns
     -------
@@ -217,8 +227,8 @@ def interval_models(fit: AxisFit, predictive: bool = True) -> tuple[Model, Model
     """
     intervals: dict[str, tuple[float, float]] = {}
     for term in 'NBKR':
-        known, limit = fit.noise[term].magnitude, _limit(fit, term)
-        ci95 = known.ci95 if predictive else known.recording_ci95
+        coefficient, limit = fit.noise[term].magnitude, _limit(fit, term)
+        ci95 = coefficient.ci95 if predictive else coefficient.recording_ci95
         if not fit.model.value(term):
             intervals[term] = 0.0, 0.0
         elif ci95 is not None:

@@ -22,28 +22,31 @@ from .drive_likelihood import CAUSES, DriveLikelihood, Fit, NoiseAtRest
 Floats = NDArray[np.float64]
 
 LEAST_DRIVES = 5
-"""Fewest drives for a result. With five drives, Student's t has three degrees of freedom: the
-intervals are 1.6 times as wide as with many drives (quantiles 3.2 and 1.96)."""
+"""Smallest number of drives for which factors are computed. With five drives, Student's t
+distribution has three degrees of freedom. The intervals are then 1.6 times as wide as with many
+drives (quantiles 3.2 and 1.96)."""
 
 DRIFT_S, SPREAD = 100.0, 25.0
-"""Assumptions about an unknown drift. The typical random walk adds as much variance to an integral
-of `DRIFT_S` seconds as white noise does. The amplitude of the drift may be smaller or larger than
-this by a factor of up to `SPREAD`."""
+"""Assumed size of an unknown drift. The random walk of a typical drift adds as much variance to an
+integral over `DRIFT_S` seconds as the white noise does. The amplitude of an unknown drift may be up
+to `SPREAD` times larger or smaller than the amplitude of the typical drift."""
 
 LIMIT = 2.0
-"""Upper limit of the logarithm of the power of an unknown drift, in standard deviations above the
-mean."""
+"""Upper limit for an unknown drift. The logarithm of its power has a normal prior distribution; the
+limit lies this number of standard deviations above the mean of this distribution."""
 
 FLICKER_S = 30.0
-"""Assumed ratio B^2/K^2 of an unknown drift in s: the Allan variance of flicker noise exceeds the
-Allan variance of the random walk at averaging times up to 40 s."""
+"""Assumed ratio B^2/K^2 in s of an unknown drift. With this ratio, the Allan variance of flicker
+noise exceeds the Allan variance of the random walk at averaging times up to 40 s."""
 
 GAIN_CAUSE = 10.0
-"""Least gain in 2 log L for which a calibration error is named as a cause."""
+"""Smallest increase of 2 log L (L: the likelihood) for which a calibration error is named as a
+cause."""
 
 GAIN_PART = 4.0
-"""Least difference in 2 log L between a factor for the white noise alone and a factor for the slow
-noise alone. If the difference is smaller, one factor multiplies both."""
+"""Smallest difference in 2 log L between two fits, with a factor for the white noise alone and with
+a factor for the drift alone, for which the better fit is used. If the difference is smaller, one
+factor multiplies white noise and drift."""
 
 TYPICAL_SHARE = 0.5
 """Assumed ratio of an unresolved term to its upper limit, if another drift is resolved. In 1 h at
@@ -74,12 +77,13 @@ class Cause:
     name : str
         'rotation', 'gyro_matrix', 'accel_matrix' or 'g_sensitivity'.
     gain : float
-        Increase of 2 log L by this cause.
+        Increase of 2 log L when this cause is added to the model.
     elements : tuple of Estimate
         For 'rotation', the three elements of the vector in rad by which the axes of the gyro are
-        turned against the axes of the accelerometer. Else the nine elements of the matrix, row by
-        row; the error is the matrix times the true rate or specific force. Elements that the drives
-        do not determine are not resolved, because gravity shows no rotation about the vertical.
+        rotated relative to the axes of the accelerometer. For the other causes, the nine elements
+        of a matrix, row by row; the error is the matrix times the true rate or specific force.
+        Elements that the drives do not determine are not resolved. For example, gravity does not
+        show a rotation about the vertical.
     """
 
     name: str
@@ -88,7 +92,10 @@ class Cause:
 
     @property
     def matrix(self) -> Floats:
-        """The matrix, (3, 3); for a rotation, its cross-product matrix. NaN if not resolved."""
+        """The matrix, (3, 3), with NaN for elements that are not resolved.
+
+        For 'rotation', this is the cross-product matrix of the rotation vector in rad.
+        """
         values = np.array([np.nan if one.value is None else one.value for one in self.elements])
         return values.reshape(3, 3) if len(values) == 9 else cross_matrices(values)
 
@@ -101,9 +108,10 @@ class Cause:
 
 @dataclass(frozen=True)
 class DriveRatio:
-    """Errors of one drive over the root mean square that the noise at rest predicts.
+    """Errors of one drive, divided by the root mean square that the noise at rest predicts.
 
-    The effect of the estimated bias of the accelerometer is subtracted from the errors.
+    The effects of the estimated bias of the accelerometer and of the rotation of the Earth are
+    subtracted from the errors.
 
     Attributes
     ----------
@@ -112,7 +120,7 @@ class DriveRatio:
     turned : float
         Angle by which the IMU turned during the drive, in rad.
     rotation, velocity : float
-        Ratio of the error of the rotation, and of the velocity, to the predicted one.
+        Ratio of the rotation error, and of the velocity error, to its predicted root mean square.
     """
 
     duration: float
@@ -128,15 +136,17 @@ class SensorInMotion:
     Attributes
     ----------
     factor : Estimate
-        Ratio of the root mean square error of all drives to the predicted one: of the angle for the
-        gyro, of the velocity for the accelerometer. No calibration error is in the model.
+        Root mean square error of all drives, divided by its prediction. For the gyro, this is the
+        error of the angle; for the accelerometer, the error of the velocity. The model contains no
+        calibration error.
     white, slow : Estimate or None
-        Factors of N and of K (and other drift) that explain this ratio; None for a term that is as
-        at rest. Errors due to white noise grow with the root of the duration of a drive, errors due
-        to drift grow faster. If the drives do not tell which grows, both factors are the same.
+        Factors of N, and of K and other drift, that explain this ratio; None for noise that is the
+        same as at rest. Errors due to white noise grow with the root of the duration of a drive,
+        errors due to drift grow faster. If the drives do not show whether white noise or drift is
+        larger in motion, both factors are the same.
     explained : Estimate or None
         The same ratio as ``factor``, but with the calibration errors of all causes in the model;
-        None without causes.
+        None if there are no causes.
     """
 
     factor: Estimate
@@ -154,7 +164,7 @@ class SensorInMotion:
 
     @property
     def raised(self) -> Mapping[str, Estimate]:
-        """Term -> factor, for each of the terms 'N' and 'K' that differs from rest."""
+        """Term ('N' or 'K') -> factor, for each term that differs in motion from rest."""
         return {term: one for term, one in (('N', self.white), ('K', self.slow)) if one is not None}
 
 
@@ -191,7 +201,7 @@ class NoiseInMotion:
 def axis_noise(model: Model, tau0: float, limits: Mapping[str, float] = {}) -> NoiseAtRest:
     """Return the noise of an axis at rest, from which errors in motion are predicted.
 
-    The ramp is excluded: it is no noise, and the bias at the rest before each drive is subtracted.
+    The ramp is excluded: it is not noise, and the bias at the rest before each drive is subtracted.
 
     Parameters
     ----------
@@ -209,19 +219,29 @@ def axis_noise(model: Model, tau0: float, limits: Mapping[str, float] = {}) -> N
     NoiseAtRest
     """
     white, sigma = model.value('N'), 0.0
-    parts = [p for p in model.drift.parts if not (p.process.is_white or p.process.is_regressor)]
-    if not parts:
+    drift_parts = [
+        p for p in model.drift.parts if not (p.process.is_white or p.process.is_regressor)
+    ]
+    if not drift_parts:
         walk = white * math.sqrt(3.0) / DRIFT_S
-        terms = {'B': walk * math.sqrt(FLICKER_S), 'K': walk}
-        high = min([SPREAD, *(limits[name] / terms[name] for name in terms if limits.get(name))])
+        typical_drift = {'B': walk * math.sqrt(FLICKER_S), 'K': walk}
+        high = min(
+            [
+                SPREAD,
+                *(limits[name] / typical_drift[name] for name in typical_drift if limits.get(name)),
+            ]
+        )
         low = min(1.0, high) / SPREAD
-        parts = list(Model.of(**{n: x * math.sqrt(low * high) for n, x in terms.items()}).parts)
-        sigma = math.log(high / low) / LIMIT  # of the power
+        drift_parts = list(
+            Model.of(**{n: x * math.sqrt(low * high) for n, x in typical_drift.items()}).parts
+        )
+        sigma = math.log(high / low) / LIMIT  # for the logarithm of the power
     else:
         unresolved = {name: TYPICAL_SHARE * limit for name, limit in limits.items() if limit}
-        parts += Model.of(**unresolved).parts
+        drift_parts += Model.of(**unresolved).parts
     slow = [
-        (part.process.variance_of(part.value, tau0), part.process.in_unit(tau0)) for part in parts
+        (part.process.variance_of(part.value, tau0), part.process.in_unit(tau0))
+        for part in drift_parts
     ]
 
     def gamma(M: float, j: ArrayLike) -> Floats:
@@ -234,12 +254,12 @@ def axis_noise(model: Model, tau0: float, limits: Mapping[str, float] = {}) -> N
 def noise_in_motion(
     drives: Sequence[DriveErrors], noise: Sequence[NoiseAtRest]
 ) -> NoiseInMotion | None:
-    """Return the factors of both sensors and their causes; None for fewer than 5 drives.
+    """Return the factors of gyro and accelerometer, and the causes; None for fewer than 5 drives.
 
     Parameters
     ----------
     drives : sequence of DriveErrors
-        Drives of one IMU, in their order in time.
+        Drives of one IMU in the order of time.
     noise : sequence of NoiseAtRest
         Noise of the six axes at rest.
 
@@ -267,13 +287,19 @@ def noise_in_motion(
 
 
 def _with_causes(data: DriveLikelihood, plain: Fit) -> tuple[Fit, dict[str, float]]:
-    """Add causes one by one while each gains `GAIN_CAUSE`; return the fit and the gains."""
+    """Return a fit with causes, and the increase of 2 log L by each cause.
+
+    The causes are added one by one, as long as the next cause increases 2 log L by `GAIN_CAUSE`.
+    """
     best, gains = plain, {}
     while names := [name for name in CAUSES if name not in best.causes]:
         trials = {}
         for name in names:
-            held = [one for one in best.causes if one != 'rotation' or not name.endswith('matrix')]
-            trials[name] = data.fit(BOTH, (*held, name), best)
+            # a matrix includes the rotation
+            other_causes = [
+                x for x in best.causes if x != 'rotation' or not name.endswith('matrix')
+            ]
+            trials[name] = data.fit(BOTH, (*other_causes, name), best)
         name = max(trials, key=lambda each: trials[each].value)
         gain = trials[name].value - best.value
         if gain < GAIN_CAUSE:
@@ -288,48 +314,54 @@ def predicted_errors(
     noise: Sequence[NoiseAtRest],
     causes: tuple[str, ...] = (),
 ) -> tuple[float, float, float]:
-    """Return the mean squared errors of some drives over the variance predicted from other drives.
+    """Return the mean squared errors of drives, divided by the variance that other drives predict.
 
     Parameters
     ----------
     used : sequence of DriveErrors
         Drives from which factors and causes are estimated.
     others : sequence of DriveErrors
-        Drives that are predicted. Unknowns that all drives have in common, such as the bias of the
-        accelerometer, are estimated from the used drives.
+        Drives whose errors are predicted. Unknowns that all drives have in common, such as the bias
+        of the accelerometer, are estimated from the drives ``used``.
     noise : sequence of NoiseAtRest
         Noise of the six axes at rest.
     causes : tuple of str
-        Calibration errors in the third model, of `CAUSES`.
+        Names of the calibration errors in the third model, keys of `CAUSES`.
 
     Returns
     -------
     (float, float, float)
-        Mean of the squared errors of rotation and velocity over the predicted variance, for three
-        models: the noise at rest, with the factors, and with the factors and causes. The mean is 1
-        if the model is right.
+        Mean of the squared errors of rotation and velocity, divided by the predicted variance. The
+        first model is the noise at rest, the second model contains the factors, and the third model
+        contains factors and causes. The expected mean is 1 if the model is right.
     """
     whole = DriveLikelihood.of([*used, *others], noise)
-    data, ahead = whole.part(slice(0, len(used))), whole.part(slice(len(used), None))
+    data, predicted = whole.part(slice(0, len(used))), whole.part(slice(len(used), None))
     plain = data.fit(BOTH)
-    most = [LIMIT * data.unknown.get(names[0], 0.0) for names in plain.groups]
-    at_rest = np.minimum(plain.log_factors, most)
-    at_rest[:2] = 0.0
+    largest_log_factors = [LIMIT * data.unknown.get(names[0], 0.0) for names in plain.groups]
+    log_factors_at_rest = np.minimum(plain.log_factors, largest_log_factors)
+    log_factors_at_rest[:2] = 0.0
     rows = slice(ROTATION.start, VELOCITY.stop)
-    out = []
-    for fit in (plain._replace(log_factors=at_rest), plain, data.fit(BOTH, causes, plain)):
-        u = ahead.all_effects(fit.causes)
-        left = (ahead.y - u @ fit.mean)[:, rows]
-        own = ahead.covariances(fit.groups, fit.log_factors)[1]
-        v = (own + u @ fit.covariance @ u.swapaxes(1, 2))[:, rows, rows]
-        out.append(float(np.einsum('di,dij,dj->di', left, np.linalg.inv(v), left).mean()))
-    return out[0], out[1], out[2]
+    mean_squares = []
+    for fit in (
+        plain._replace(log_factors=log_factors_at_rest),
+        plain,
+        data.fit(BOTH, causes, plain),
+    ):
+        u = predicted.all_effects(fit.causes)
+        residuals = (predicted.y - u @ fit.mean)[:, rows]
+        noise_covariance = predicted.covariances(fit.groups, fit.log_factors)[1]
+        error_covariance = (noise_covariance + u @ fit.covariance @ u.swapaxes(1, 2))[:, rows, rows]
+        inverse = np.linalg.inv(error_covariance)
+        mean_squares.append(float(np.einsum('di,dij,dj->di', residuals, inverse, residuals).mean()))
+    return mean_squares[0], mean_squares[1], mean_squares[2]
 
 
 def _ratio(data: DriveLikelihood, fit: Fit, sensor: str) -> Estimate:
-    """Return the ratio of the rms error of a sensor in all drives to the predicted one.
+    """Return the rms error of a sensor in all drives, divided by its prediction.
 
-    The prediction contains an unknown drift with its fitted size, but at most with its limit.
+    In the prediction, an unknown drift has its fitted size, but not more than its upper limit
+    (`LIMIT`).
     """
     rows = {'gyro': ROTATION, 'accel': VELOCITY}[sensor]
     sizes = {
@@ -347,9 +379,10 @@ def _ratio(data: DriveLikelihood, fit: Fit, sensor: str) -> Estimate:
             predicted += size if sigma is None else math.exp(min(x, LIMIT * sigma)) * size
         return math.log(total / predicted) / 2.0
 
-    middle, half = log_ratio(fit.log_factors), np.diag(_quantile(fit) * fit.errors)
+    middle, shifts = log_ratio(fit.log_factors), np.diag(_quantile(fit) * fit.errors)
     low, high = (
-        middle + sign * math.hypot(*(log_ratio(fit.log_factors + sign * h) - middle for h in half))
+        middle
+        + sign * math.hypot(*(log_ratio(fit.log_factors + sign * h) - middle for h in shifts))
         for sign in (-1.0, 1.0)
     )
     return Estimate(math.exp(middle), (math.exp(low), math.exp(high)))
@@ -358,14 +391,14 @@ def _ratio(data: DriveLikelihood, fit: Fit, sensor: str) -> Estimate:
 def _raised(
     data: DriveLikelihood, fit: Fit, sensor: str, part: Part
 ) -> tuple[Estimate | None, Estimate | None]:
-    """Return the factor of the white noise and the factor of the drift of a sensor."""
-    halves = _quantile(fit) * fit.errors
-    found = {
+    """Return the factors of the white noise and of the drift of a sensor; None for no change."""
+    half_widths = _quantile(fit) * fit.errors
+    factors = {
         names[0]: tuple(math.exp((x + s * h - offset) / 2.0) for s in (0.0, -1.0, 1.0))
-        for names, x, h in zip(fit.groups, fit.log_factors.tolist(), halves.tolist())
+        for names, x, h in zip(fit.groups, fit.log_factors.tolist(), half_widths.tolist())
         for offset in [LIMIT * data.unknown.get(names[0], 0.0)]
     }
-    estimates = {name: Estimate(x, (low, high)) for name, (x, low, high) in found.items()}
+    estimates = {name: Estimate(x, (low, high)) for name, (x, low, high) in factors.items()}
     white = estimates.get(f'{sensor}_white')
     if part == 'all':
         return white, white
@@ -375,14 +408,14 @@ def _raised(
 
 
 def _quantile(fit: Fit) -> float:
-    """Return the 97.5 % quantile of Student's t distribution for the number of drives."""
+    """Return the 97.5 % quantile of Student's t distribution for the drives of a fit."""
     from scipy.special import stdtrit  # slow to import
 
     return float(stdtrit(len(fit.scores) - 2, 0.975))
 
 
 def _part(data: DriveLikelihood, fit: Fit, sensor: str) -> tuple[Part, Fit]:
-    """Return which noise of a sensor is larger in motion, and the fit with its factor."""
+    """Return the noise of a sensor that is larger in motion, and the fit with its factor."""
     if f'{sensor}_slow' not in data.noise:
         return 'white', fit
     trials: dict[Part, Fit] = {}
@@ -400,9 +433,9 @@ def _part(data: DriveLikelihood, fit: Fit, sensor: str) -> tuple[Part, Fit]:
 def _elements(data: DriveLikelihood, fit: Fit, name: str) -> tuple[Estimate, ...]:
     """Return the elements of a calibration error with 95 % intervals."""
     means, deviations = data.elements(fit, name)
-    half = _quantile(fit) * deviations
-    known = deviations < KNOWN_SHARE * CAUSES[name]
+    half_widths = _quantile(fit) * deviations
+    resolved_flags = deviations < KNOWN_SHARE * CAUSES[name]
     return tuple(
-        Estimate(x, (x - h, x + h)) if is_known else Estimate(None, status='not_observable')
-        for x, h, is_known in zip(means.tolist(), half.tolist(), known.tolist())
+        Estimate(x, (x - h, x + h)) if is_resolved else Estimate(None, status='not_observable')
+        for x, h, is_resolved in zip(means.tolist(), half_widths.tolist(), resolved_flags.tolist())
     )

@@ -39,7 +39,7 @@ def axis_level(axis: str, fit: AxisFit, term: str) -> FilterLevel:
     Raises
     ------
     AllanError
-        If there is neither a positive estimate nor a finite limit.
+        When the term has neither a positive estimate nor a finite limit.
     """
     coefficient = fit.noise[term].magnitude if term == 'R' else fit.noise[term]
     value, limit = coefficient.value, coefficient.upper95
@@ -59,8 +59,8 @@ def reduce_axis(
 ) -> Reduction:
     """Return the reduced-order model of one axis with its N and K.
 
-    If N is not resolved, its upper limit is used. If the model has no drift, or 'walk' would give
-    no random walk, K or its upper limit is added.
+    If N is not resolved, its upper limit is used. K or its upper limit is added if the complete
+    model has no drift, or if the reduced-order model for 'walk' would have no random walk.
 
     Parameters
     ----------
@@ -77,13 +77,13 @@ def reduce_axis(
     -------
     Reduction
         ``levels`` are N and, if the model has a random walk, K. The interval of an increased value
-        ranges over the reduced-order models of two complete models: with all coefficients at the
-        lower, and at the upper ends of their 95 % intervals.
+        comes from the reduced-order models of two complete models: one with all coefficients at the
+        lower ends of their 95 % intervals, and one with all coefficients at the upper ends.
 
     Raises
     ------
     AllanError
-        If a required coefficient has neither a value nor a limit.
+        When a required coefficient has neither a value nor a limit.
     """
     white, walk = axis_level(axis, fit, 'N'), None
     model = fit.model.changed(N=white.value)
@@ -99,13 +99,15 @@ def reduce_axis(
     if walk is None and k > 0.0:
         walk = FilterLevel(Estimate(k, fit.noise['K'].ci95, name='K', axis=axis))
     if raises_walk or raises_white:
-        ends = interval_models(fit) if states in ('none', 'walk') else None
-        of_ends = [reduce_model(one, states, horizon).model for one in ends or ()]
+        end_models = interval_models(fit) if states in ('none', 'walk') else None
+        end_reductions = [reduce_model(one, states, horizon).model for one in end_models or ()]
         if walk is not None and raises_walk:
             measured = resolved_walk if fit.noise['K'].status == 'estimated' else 0.0
-            walk = walk.raised(k, measured, _range(k, [one.value('K') for one in of_ends]))
+            walk = walk.raised(k, measured, _range(k, [one.value('K') for one in end_reductions]))
         if raises_white:
-            white = white.raised(n, white.value, _range(n, [one.value('N') for one in of_ends]))
+            white = white.raised(
+                n, white.value, _range(n, [one.value('N') for one in end_reductions])
+            )
     return reduction._replace(levels={'N': white, **({'K': walk} if walk else {})})
 
 
@@ -120,7 +122,7 @@ Variances = tuple[float, float, float]
 def white_variances(
     axes: Mapping[str, AxisFit], rate: float, inflation: float = 1.0, horizon: float = 0.0
 ) -> dict[str, Variances]:
-    """Return the variance (inflation N)^2 f of a sample of each axis, by sensor.
+    """Return the variance of the white noise of one sample, (inflation N)^2 f, for each axis.
 
     Parameters
     ----------
@@ -136,36 +138,36 @@ def white_variances(
     Returns
     -------
     dict of 'gyro' and 'accel' to (x, y, z)
-        In the squared unit of the samples. A sensor is excluded if N of one of its axes has neither
-        a value nor a limit, or if an axis is missing.
+        The variances in the squared unit of the samples. A sensor is excluded if N of one of its
+        axes has neither a value nor a limit, or if an axis is missing.
     """
     stds: dict[str, float] = {}
     for name, fit in axes.items():
         with suppress(AllanError):
             if horizon:
-                white = reduce_axis(name, fit, 'none', horizon).model.value('N')
+                white_noise = reduce_axis(name, fit, 'none', horizon).model.value('N')
             else:
-                white = axis_level(name, fit, 'N').value
-            stds[name] = white * rate**0.5
+                white_noise = axis_level(name, fit, 'N').value
+            stds[name] = white_noise * rate**0.5
     variances = {}
     for sensor, rows in SENSORS.items():
-        known = [stds[name] for name in AXES[rows] if name in stds]
-        if len(known) == 3:
-            x, y, z = ((inflation * std) ** 2 for std in known)
+        axis_stds = [stds[name] for name in AXES[rows] if name in stds]
+        if len(axis_stds) == 3:
+            x, y, z = ((inflation * std) ** 2 for std in axis_stds)
             variances[sensor] = (x, y, z)
     return variances
 
 
 def white_ratio(axes: Mapping[str, AxisFit], horizon: float) -> float:
-    """Return the largest ratio of the upper to the lower end of the 95 % intervals of N.
+    """Return the largest ratio, over all axes, of the upper to the lower end of the interval of N.
 
-    N is increased for a ``horizon`` in s as in `white_variances`. The result is infinite if an axis
-    has no interval, or an interval that begins at 0.
+    N is increased for a ``horizon`` in s as in `white_variances`. The ratio is infinite if an axis
+    has no 95 % interval of N, or an interval that begins at 0.
     """
     ratios = [1.0]
     for fit in axes.values():
-        ends = interval_models(fit) or (Model(),) * 2
-        low, high = (reduce_model(one, 'none', horizon).model.value('N') for one in ends)
+        end_models = interval_models(fit) or (Model(),) * 2
+        low, high = (reduce_model(one, 'none', horizon).model.value('N') for one in end_models)
         ratios.append(high / low if low > 0.0 else math.inf)
     return max(ratios)
 
@@ -173,7 +175,7 @@ def white_ratio(axes: Mapping[str, AxisFit], horizon: float) -> float:
 def measure_inflation(
     rest: Mapping[str, AxisFit], running: Mapping[str, AxisFit], horizon: float = HORIZON_S
 ) -> dict[str, dict[str, Check]]:
-    """Return the ratio of N and of K with motors on to N and K with motors off.
+    """Return N and K of a robot with motors on, relative to N and K with motors off.
 
     N and K are the parameters of reduced-order models with white noise and a random walk.
 
@@ -187,23 +189,28 @@ def measure_inflation(
     Returns
     -------
     dict of axis name to dict of 'N' or 'K' to Check
+        The ratio is `Check.ratio`.
 
     Raises
     ------
     AllanError
-        If there is no common axis, or N or K of an axis has neither a value nor a limit.
+        When the fits have no axis in common, or N or K of an axis has neither a value nor a limit.
     """
     common = [axis for axis in rest if axis in running]
     if not common:
         raise AllanError('the two results have no axis in common: give two recordings of one IMU')
     inflation = {}
     for axis in common:
-        quiet, loud = (
+        levels_off, levels_on = (
             reduce_axis(axis, fits[axis], 'walk', horizon).levels for fits in (rest, running)
         )
         inflation[axis] = {
             term: check_limits(
-                axis, term, 'motors off', Estimate(loud[term].value), upper=quiet[term].value
+                axis,
+                term,
+                'motors off',
+                Estimate(levels_on[term].value),
+                upper=levels_off[term].value,
             )
             for term in 'NK'
         }

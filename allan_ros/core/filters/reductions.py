@@ -3,8 +3,8 @@
 """Reduced-order models: the noise of one axis with only the parameters of a state estimator.
 
 A state estimator with the parameters N and K underestimates its error if the sensor also has bias
-instability. A `Reduction` has larger parameters, with which the predicted error is at least the
-error of the complete model at all horizons.
+instability. A `Reduction` has larger parameters, with which the state estimator predicts at least
+the error that the complete model predicts, at all horizons.
 
 Horizons
 --------
@@ -32,22 +32,22 @@ from .state_space import has_states, state_space, white_density
 Floats = NDArray[np.float64]
 
 States = Literal['none', 'walk', 'processes']
-"""Bias model of a state estimator: no bias state, a random walk, or a random walk and the other
-processes that have states."""
+"""Bias model of a state estimator: no bias state ('none'), a random walk ('walk'), or a random walk
+and all other processes that have states ('processes')."""
 
 HORIZON_S = 30.0
-"""Default of the longest horizon in s."""
+"""Longest horizon in s by default."""
 
 HORIZONS_PER_RANGE = 30
 """Number of horizons at which the predicted errors of two models are compared."""
 
 POOR_RATIO = 2.0
-"""Largest accepted ratio of the predicted errors of a reduced-order model and of the complete
-model, and of the inverse."""
+"""Largest accepted ratio of the error that a reduced-order model predicts to the error that the
+complete model predicts. The smallest accepted ratio is the inverse of this number."""
 
 
 def shortest_horizon(longest: float) -> float:
-    """Return the shortest horizon in s of the range up to ``longest``: 1 s, or a tenth of it."""
+    """Return the shortest horizon in s: 1 s, or a tenth of ``longest`` if this is shorter."""
     return min(1.0, longest / 10.0)
 
 
@@ -61,16 +61,17 @@ def horizon_text(longest: float) -> str:
 
 
 class FilterLevel(NamedTuple):
-    """Noise parameter for a state estimator: an estimate or its limit, which may be increased.
+    """Noise parameter for a state estimator: an estimate or its upper limit, possibly increased.
 
     Attributes
     ----------
     estimate : Estimate
-        Positive number in SI: N, B, K or R of an axis, or another parameter (``name``). If it is
-        not resolved, the state estimator gets its 95 % upper limit.
+        Positive number in SI: N, B, K or R of an axis, or another parameter. `Estimate.name` states
+        which one. If the number is not resolved, the state estimator gets its 95 % upper limit.
     raised_from : float or None
-        Fitted coefficient (0 if it is not resolved) before it was increased, so that the state
-        estimator does not underestimate its error; None if it was not increased.
+        Fitted coefficient before the increase, 0 if this coefficient is not resolved. None if the
+        value was not increased. Values are increased so that the state estimator does not
+        underestimate its error.
     """
 
     estimate: Estimate
@@ -78,7 +79,7 @@ class FilterLevel(NamedTuple):
 
     @property
     def value(self) -> float:
-        """Number for the state estimator: the estimate if it is resolved, else its upper limit."""
+        """Number for the state estimator: a resolved estimate, else its upper limit."""
         known = self.estimate
         return (known.value if known.resolved else known.upper95) or 0.0
 
@@ -100,7 +101,10 @@ class FilterLevel(NamedTuple):
         return max(low, 0.0), high
 
     def raised(self, value: float, fitted: float, ci95: tuple[float, float] | None) -> FilterLevel:
-        """Return the level with a ``value`` above the ``fitted`` one, and the interval ``ci95``."""
+        """Return this level, increased from the coefficient ``fitted`` to ``value``.
+
+        ``ci95`` is the 95 % interval of the increased value; None if it is unknown.
+        """
         if self.is_limit:
             return FilterLevel(replace(self.estimate, upper95=value), fitted)
         known = replace(self.estimate, value=value, recording_ci95=ci95, predictive_ci95=None)
@@ -111,15 +115,15 @@ class Reduction(NamedTuple):
     """Reduced-order model of one axis."""
 
     model: Model  # N, K and the processes with states that the state estimator assumes
-    # standard deviation of the error predicted by the reduced-order model over the one predicted by
-    # the complete model: smallest and largest ratio of all horizons
+    # smallest and largest ratio, over all horizons, of the error that the reduced-order model
+    # predicts to the error that the complete model predicts (standard deviations)
     ratio: tuple[float, float]
     # N and K with their intervals; empty if the model did not come from the fit of an axis
     levels: Mapping[str, FilterLevel]
 
     @property
     def poor(self) -> bool:
-        """Whether the predicted error is wrong by more than a factor of 2 at some horizon."""
+        """Whether a predicted error, at some horizon, is wrong by more than a factor of 2."""
         return self.ratio[1] > POOR_RATIO or self.ratio[0] < 1.0 / POOR_RATIO
 
 
@@ -134,15 +138,17 @@ def reduce_model(model: Model, states: States = 'walk', horizon: float = HORIZON
     model : Model
         Complete model of one axis.
     states : {'none', 'walk', 'processes'}
-        Bias states of the state estimator, which determine what is adjusted (see below).
+        Bias states of the state estimator. They determine which parameters are increased (see
+        Notes).
     horizon : float
-        Longest horizon in s. The shortest one is 1 s, or a tenth of the longest if this is less.
+        Longest horizon in s. The shortest horizon is 1 s, or a tenth of the longest horizon if this
+        is shorter.
 
     Returns
     -------
     Reduction
-        With 'none' and 'walk', no ratio is below 1. With 'processes', the approximation of B may
-        predict errors that are up to 5 % smaller.
+        With 'none' and 'walk', no ratio is below 1. With 'processes', the predicted error may be up
+        to 5 % smaller than with the complete model, because B is approximated.
 
     Notes
     -----
@@ -173,55 +179,55 @@ def reduce_model(model: Model, states: States = 'walk', horizon: float = HORIZON
 
 
 def _by_time(model: Model) -> list[Process]:
-    """Return the processes with states and a correlation time, fastest first."""
+    """Return the processes with states and a correlation time, the fastest process first."""
     stationary = (p.process for p in model.parts if p.process.parameters and has_states(p.process))
     return sorted(stationary, key=lambda process: process.slowest_time)
 
 
 def _reduced(complete: Model, fast: int, states: States, horizon: float) -> Reduction:
     """Return the reduced-order model in which the ``fast`` fastest processes are white noise."""
-    quick = _by_time(complete)[:fast]
-    added = sum(
+    fast_processes = _by_time(complete)[:fast]
+    added_variance = sum(
         (part.value * white_density(part.process)) ** 2
         for part in complete.parts
-        if part.process in quick
+        if part.process in fast_processes
     )
-    white, walk = math.sqrt(complete.value('N') ** 2 + added), 0.0
-    drift = complete.where(lambda process: process not in quick).changed(N=0.0)
+    white_noise, walk = math.sqrt(complete.value('N') ** 2 + added_variance), 0.0
+    drift = complete.where(lambda process: process not in fast_processes).changed(N=0.0)
     processes: tuple[tuple[float, Process], ...] = ()
     if states == 'none':
-        squared = _growth(drift, horizon) ** 2 / _unit_variance(BY_LETTER['N'], horizon)
-        white = math.sqrt(white**2 + float(np.max(squared)))
+        squared_level = _growth(drift, horizon) ** 2 / _unit_variance(BY_LETTER['N'], horizon)
+        white_noise = math.sqrt(white_noise**2 + float(np.max(squared_level)))
     else:
         if states == 'processes':  # only the ramp and sinusoids have no states
-            space = state_space(drift.changed(N=white))
+            space = state_space(drift.changed(N=white_noise))
             processes = space.processes
             drift = drift.where(lambda process: not has_states(process))
             drift = drift.changed(N=0.0, B=0.0, K=space.walk)
-        squared = _growth(drift, horizon) ** 2 / _unit_variance(BY_LETTER['K'], horizon)
-        walk = math.sqrt(float(np.max(squared)))
-    model = Model.of(*processes, N=white, K=walk)
-    reduced, actual = (_growth(one, horizon) for one in (model, complete))
-    if np.any(actual > 0.0):
-        ratio = reduced / actual
+        squared_level = _growth(drift, horizon) ** 2 / _unit_variance(BY_LETTER['K'], horizon)
+        walk = math.sqrt(float(np.max(squared_level)))
+    model = Model.of(*processes, N=white_noise, K=walk)
+    reduced_errors, complete_errors = (_growth(one, horizon) for one in (model, complete))
+    if np.any(complete_errors > 0.0):
+        ratio = reduced_errors / complete_errors
         return Reduction(model, (float(ratio.min()), float(ratio.max())), {})
-    unknown = math.inf if np.any(reduced > 0.0) else 1.0
-    return Reduction(model, (unknown, unknown), {})
+    undefined_ratio = math.inf if np.any(reduced_errors > 0.0) else 1.0
+    return Reduction(model, (undefined_ratio, undefined_ratio), {})
 
 
 def horizons(longest: float) -> Floats:
-    """Return the 30 horizons in s, (30,), at which the errors of two models are compared."""
+    """Return the horizons in s, (30,), at which the predicted errors of two models are compared."""
     return np.geomspace(shortest_horizon(longest), longest, HORIZONS_PER_RANGE)
 
 
 def _growth(model: Model, horizon: float) -> Floats:
-    """Return the standard deviation of the predicted error at the horizons up to the given one."""
+    """Return the predicted standard deviation of the error at 30 horizons up to ``horizon``."""
     return predicted_growth(model, horizons(horizon), horizon)
 
 
 @lru_cache(maxsize=512)
 def _unit_variance(process: Process, horizon: float) -> Floats:
-    """Return the variance of the predicted error at the horizons, for the coefficient 1."""
+    """Return the variance of the error due to a process with the coefficient 1, at 30 horizons."""
     variance = np.asarray(_growth(Model.of((1.0, process)), horizon) ** 2)
     variance.setflags(write=False)
     return variance
@@ -236,7 +242,8 @@ def closest_process(
 ) -> tuple[float, float] | None:
     """Return the single process that replaces all drift of a model with the least error.
 
-    It minimizes the largest relative difference of the predicted errors at all horizons.
+    The process minimizes the largest relative difference, over all horizons, between the error that
+    it predicts and the error that the complete model predicts.
 
     Parameters
     ----------
@@ -247,10 +254,10 @@ def closest_process(
     horizon : float
         Longest horizon in s.
     tau : float, optional
-        Correlation time in s; selected if it is None.
+        Correlation time of the process in s. If it is None, the best correlation time is selected.
     bound : bool
-        Whether the predicted error must be at least the error of the model, as for a state
-        estimator. If False, it may also be smaller.
+        Whether the predicted error must be at least the error of the complete model, as for a state
+        estimator. If False, the predicted error may also be smaller.
 
     Returns
     -------
@@ -260,19 +267,24 @@ def closest_process(
     complete = model.drift
     if not complete.has_drift:
         return None
-    white = complete.value('N') ** 2 * _unit_variance(BY_LETTER['N'], horizon)
-    # the minimum applies only if the drift is below the rounding error of the white noise
-    drift = np.maximum(_growth(complete, horizon) ** 2 - white, np.finfo(float).tiny)
+    white_variance = complete.value('N') ** 2 * _unit_variance(BY_LETTER['N'], horizon)
+    # the lower bound applies only if the drift is below the rounding error of the white noise
+    drift_variance = np.maximum(
+        _growth(complete, horizon) ** 2 - white_variance, np.finfo(float).tiny
+    )
     grid = np.geomspace(shortest_horizon(horizon) / 3.0, 100.0 * horizon, 60).tolist()
-    own = [process.slowest_time for process in _by_time(complete)]
+    model_times = [process.slowest_time for process in _by_time(complete)]
     best, least = (0.0, 1.0), math.inf
-    for one in [*own, *grid] if tau is None else [tau]:
-        unit = _unit_variance(kind(one), horizon)
-        ratio = drift / unit
-        variances = [float(ratio.max())] if bound else np.geomspace(ratio.min(), ratio.max(), 9)
+    for time in [*model_times, *grid] if tau is None else [tau]:
+        unit_variance = _unit_variance(kind(time), horizon)
+        variance_ratio = drift_variance / unit_variance
+        low, high = float(variance_ratio.min()), float(variance_ratio.max())
+        variances = [high] if bound else np.geomspace(low, high, 9)
         for variance in variances:
-            errors = np.log((white + variance * unit) / (white + drift))
-            error = float(np.abs(errors).max())
+            log_ratios = np.log(
+                (white_variance + variance * unit_variance) / (white_variance + drift_variance)
+            )
+            error = float(np.abs(log_ratios).max())
             if error < least - 1e-9:
-                best, least = (math.sqrt(variance), one), error
+                best, least = (math.sqrt(variance), time), error
     return best

@@ -39,8 +39,8 @@ LONGEST_TIME_S = 1500.0
 """Longest correlation time in s of the processes that approximate bias instability."""
 
 SHORTEST_TIME_S = 1.5
-"""Largest value of the shortest correlation time in s of these processes. The time is shorter if
-bias instability exceeds white noise at short averaging times (see `flicker_processes`)."""
+"""Shortest correlation time in s of the processes that approximate bias instability, unless bias
+instability exceeds white noise at short averaging times (see `flicker_processes`)."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class StateSpace:
     """State-space model of white noise, a random walk and other processes with states.
 
     The states are, in this order, the integral of the samples, the random walk, the states of the
-    processes, and optionally the slope of the walk.
+    other processes, and optionally the slope of the random walk.
 
     Attributes
     ----------
@@ -60,7 +60,7 @@ class StateSpace:
         Other processes with `Process.states`, in SI. The coefficient of most processes is the
         stationary standard deviation in the unit of the samples.
     slope : bool
-        Whether a constant slope of the walk is the last state.
+        Whether the last state is a constant slope of the random walk.
     """
 
     white: float
@@ -70,13 +70,13 @@ class StateSpace:
 
     @property
     def _blocks(self) -> list[tuple[float, Process, slice]]:
-        """Coefficient, process and place of the states of the walk and of each other process."""
-        found, at = [], 1
+        """Coefficient, process and indices of the states of the random walk and other processes."""
+        blocks, first = [], 1
         for value, process in ((self.walk, BY_LETTER['K']), *self.processes):
             size = len(_states(process).output)
-            found.append((value, process, slice(at, at + size)))
-            at += size
-        return found
+            blocks.append((value, process, slice(first, first + size)))
+            first += size
+        return blocks
 
     @property
     def size(self) -> int:
@@ -89,12 +89,12 @@ class StateSpace:
         Raises
         ------
         AllanError
-            If the step is not positive and finite.
+            When the step is not positive and finite.
         """
         phi = np.eye(self.size)
         for _, process, place in self._blocks:
-            own, _ = _integrated(process, _checked(dt))
-            phi[0, place], phi[place, place] = own[0, 1:], own[1:, 1:]
+            process_phi, _ = _integrated(process, _checked(dt))
+            phi[0, place], phi[place, place] = process_phi[0, 1:], process_phi[1:, 1:]
         if self.slope:
             phi[1, -1], phi[0, -1] = dt, dt * dt / 2.0
         return phi
@@ -105,14 +105,14 @@ class StateSpace:
         Raises
         ------
         AllanError
-            If the step is not positive and finite.
+            When the step is not positive and finite.
         """
         q = np.zeros((self.size, self.size))
         q[0, 0] = self.white**2 * _checked(dt)
         for value, process, place in self._blocks:
-            own = value**2 * _integrated(process, dt)[1]
-            at = [0, *range(place.start, place.stop)]
-            q[np.ix_(at, at)] += own
+            process_noise = value**2 * _integrated(process, dt)[1]
+            indices = [0, *range(place.start, place.stop)]
+            q[np.ix_(indices, indices)] += process_noise
         return q
 
     def initial_covariance(self, walk: float, slope: float = 0.0) -> Floats:
@@ -131,7 +131,7 @@ class StateSpace:
         return p
 
     def sample_variance(self, rate: float) -> float:
-        """Return the variance R = N^2 f of the white noise of one sample at the rate f in Hz."""
+        """Return the variance R = N^2 f of the white noise of one sample; ``rate`` is f in Hz."""
         return self.white**2 * rate
 
 
@@ -150,11 +150,12 @@ def _states(process: Process) -> States:
 
 @lru_cache(maxsize=256)
 def _integrated(process: Process, dt: float) -> tuple[Floats, Floats]:
-    """Return Phi and Qd of the integral of a process and its states, for the coefficient 1.
+    """Return Phi and Qd, for a step of ``dt`` s, of a process with the coefficient 1.
 
+    The first state is the integral of the process, the other states are the states of the process.
     The matrices of a short step follow from a matrix exponential (C. F. van Loan, IEEE Trans.
-    Automatic Control 23, 1978). Each doubling of the step adds positive matrices, so that no digits
-    are lost. During the computation, the unit of time is ``dt``.
+    Automatic Control 23, 1978). Then the step is doubled repeatedly. Each doubling adds positive
+    matrices, so that no digits are lost. During the computation, the unit of time is ``dt``.
     """
     from scipy.linalg import expm  # slow to import
 
@@ -167,14 +168,15 @@ def _integrated(process: Process, dt: float) -> tuple[Floats, Floats]:
     step = 2.0**-doublings
     scale = density.max() or 1.0
     block = np.block([[-dynamics, density / scale], [np.zeros((n, n)), dynamics.T]])
-    power = expm(step * block)
-    phi = power[n:, n:].T
-    q = scale * phi @ power[:n, n:]
+    exponential = expm(step * block)
+    phi = exponential[n:, n:].T
+    q = scale * phi @ exponential[:n, n:]
     for _ in range(doublings):
         q = q + phi @ q @ phi.T
         phi = phi @ phi
-    unit = np.diag([dt, *np.ones(n - 1)])
-    phi, q = unit @ phi @ np.linalg.inv(unit), unit @ (q + q.T) @ unit / 2.0
+    unit_change = np.diag([dt, *np.ones(n - 1)])
+    phi = unit_change @ phi @ np.linalg.inv(unit_change)
+    q = unit_change @ (q + q.T) @ unit_change / 2.0
     phi.flags.writeable = q.flags.writeable = False
     return phi, q
 
@@ -182,20 +184,24 @@ def _integrated(process: Process, dt: float) -> tuple[Floats, Floats]:
 def state_space(model: Model) -> StateSpace:
     """Return the state-space model of noise processes.
 
-    Bias instability becomes the Gauss-Markov processes of `flicker_processes`. Because these have
-    a longest correlation time T, K^2 of the random walk is increased by B^2/(3 pi T) for slower
-    components. Quantization, ramp and sinusoids are excluded, because they have no states.
+    Bias instability becomes the Gauss-Markov processes of `flicker_processes`. These processes lack
+    the components of bias instability that are slower than the longest correlation time T.
+    Therefore, K^2 of the random walk is increased by B^2/(3 pi T). Quantization, ramp and sinusoids
+    are excluded, because they have no states.
     """
     n, b, k = (model.value(letter) for letter in 'NBK')
-    slow = b / math.sqrt(3.0 * math.pi * LONGEST_TIME_S)
+    slow_walk = b / math.sqrt(3.0 * math.pi * LONGEST_TIME_S)
     with_states = model.where(lambda one: has_states(one) and one != BY_LETTER['K'])
-    others = tuple((part.value, part.process) for part in with_states.parts)
-    flicker = flicker_processes(b, n) if b else ()
-    return StateSpace(n, math.hypot(k, slow), (*flicker, *others))
+    other_parts = tuple((part.value, part.process) for part in with_states.parts)
+    flicker_parts = flicker_processes(b, n) if b else ()
+    return StateSpace(n, math.hypot(k, slow_walk), (*flicker_parts, *other_parts))
 
 
 def has_states(process: Process) -> bool:
-    """Return whether a process becomes states; a ramp is the slope of the walk instead."""
+    """Return whether a process has its own states in a `StateSpace`.
+
+    A ramp has none: the slope of the random walk represents it.
+    """
     return process.states() is not None and not process.is_regressor
 
 
@@ -205,7 +211,7 @@ def flicker_processes(
     """Return Gauss-Markov processes whose sum approximates the Allan variance of flicker noise.
 
     White noise dominates at averaging times below N^2 / (0.441 B^2). The shortest correlation time
-    is a fifth of this time, limited to the range from 0.15 s to `SHORTEST_TIME_S`.
+    is a fifth of this averaging time, limited to the range from 0.15 s to `SHORTEST_TIME_S`.
 
     Parameters
     ----------
@@ -217,26 +223,26 @@ def flicker_processes(
     Returns
     -------
     tuple of (float, Process)
-        Standard deviation in the unit of the samples, and Gauss-Markov process with its correlation
+        Standard deviation in the unit of the samples, and Gauss-Markov process with a correlation
         time in s.
     """
     crossing_s = white**2 / (FLICKER_FLOOR * bias_instability**2)
     shortest = min(max(crossing_s / 5.0, 0.15), SHORTEST_TIME_S)
     times = np.geomspace(shortest, LONGEST_TIME_S, BANK_SIZE)
     tau = np.geomspace(1.3 * times[0], 2.0 * times[-1], 40)
-    step = 1e-6 * shortest  # continuous time
-    members = bank(BY_LETTER['B'], (times / step).tolist(), tau / step)
+    step = 1e-6 * shortest  # so short that the result is for continuous time
+    processes = bank(BY_LETTER['B'], (times / step).tolist(), tau / step)
     return tuple(
         (bias_instability * math.sqrt(variance), one.in_unit(1.0 / step))
-        for variance, one in members
+        for variance, one in processes
     )
 
 
 def white_density(process: Process) -> float:
     """Return the density N of the white noise that a process with the coefficient 1 resembles.
 
-    It resembles white noise at times that are long compared with its correlation time. The unit is
-    sqrt(s). Raises AllanError if the process has no states.
+    The process resembles white noise at times that are long compared with its correlation time. The
+    unit of the density is sqrt(s). Raises AllanError if the process has no states.
     """
     states = _states(process)
     gain = np.linalg.solve(-states.dynamics.T, states.output)

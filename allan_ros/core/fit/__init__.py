@@ -5,8 +5,8 @@
 Terms
 -----
 - *variance coefficients* q, w, b, k: the squares of Q, N, B, K with the sample period tau0 as the
-  unit of time. All expectations are linear in them.
-- *ramp*: constant rate of change of the samples (term R), in their unit per sample.
+  unit of time. The expected values of all statistics are linear in these coefficients.
+- *ramp*: constant rate of change of the samples (term R), in the unit of the samples per sample.
 - *process*: a Gauss-Markov process, a sinusoid or a resonance that is added to the model if the
   five terms do not describe the data. The *shape* of a process is its correlation time, its
   frequency, or both.

@@ -26,38 +26,39 @@ WHOLE_TOLERANCE = 0.05
 """Largest distance of a phase value, divided by the step, from a whole number."""
 
 LARGEST_SHARE = 1.05
-"""Largest variance of the rounding error relative to the white noise, which contains the rounding
-error. If the ratio is larger, the errors of successive samples are not independent."""
+"""Largest ratio of the variance of the rounding error to the variance of the white noise. The white
+noise contains independent rounding errors. A larger ratio therefore shows that the rounding errors
+of successive samples are not independent."""
 
 LEAST_POINTS = 8
-"""Fewest different phase values for which a step is searched for. Fewer values are multiples of
-some step by chance."""
+"""Fewest different phase values for which a rounding step is searched for. A few values can be
+multiples of some step by chance."""
 
 
 def common_step(phase: Floats, deviation: float) -> float | None:
     """Return the largest step of which all phase values are multiples, or None if there is none.
 
     If the samples are rounded, this is the rounding step. ``phase``, (n,), contains cumulative sums
-    of samples. ``deviation`` is the standard deviation of the white noise of a sample: steps far
-    below it are ignored. All numbers have the unit of the samples.
+    of samples. ``deviation`` is the standard deviation of the white noise of a sample: steps below
+    `NEGLIGIBLE_STEP` times ``deviation`` are ignored. All numbers have the unit of the samples.
     """
-    least = NEGLIGIBLE_STEP * deviation
-    moved = np.unique(np.abs(phase[np.abs(phase) > least]))
-    if len(moved) < LEAST_POINTS or not deviation > 0.0:
+    least_step = NEGLIGIBLE_STEP * deviation
+    magnitudes = np.unique(np.abs(phase[np.abs(phase) > least_step]))
+    if len(magnitudes) < LEAST_POINTS or not deviation > 0.0:
         return None
-    step, values = 0.0, moved.tolist()
+    step, values = 0.0, magnitudes.tolist()
     for i, value in enumerate(values):
-        former, step = step, _common_divisor(value, step, least)
-        if step < least:
+        former_step, step = step, _common_divisor(value, step, least_step)
+        if step < least_step:
             return None
-        # Euclid's algorithm accumulates rounding errors. They are removed by dividing the phase
-        # values so far by their multiples, smallest first.
-        for known in [value] if step == former else values[: i + 1]:
-            multiple = round(known / step)
+        # Euclid's algorithm accumulates rounding errors. To remove them, the step is computed again
+        # from each phase value so far, from the smallest on: the value divided by its multiple.
+        for magnitude in [value] if step == former_step else values[: i + 1]:
+            multiple = round(magnitude / step)
             if multiple < 1:
                 return None  # the step exceeds a value that it should divide
-            step = known / multiple
-    remainders = np.abs(moved / step - np.round(moved / step))
+            step = magnitude / multiple
+    remainders = np.abs(magnitudes / step - np.round(magnitudes / step))
     return step if remainders.max() < WHOLE_TOLERANCE else None
 
 
@@ -73,8 +74,8 @@ ROUNDING_SHARE = 0.1
 """Variance of the rounding error, relative to the white noise, above which rounding is reported."""
 
 SLOWEST_VIBRATION = 0.5
-"""Lowest frequency in Hz of a sinusoid that is called vibration. Buildings and tables have
-resonances above this frequency."""
+"""Lowest frequency in Hz of a sinusoid that a finding reports as vibration. Buildings and tables
+have resonances above this frequency."""
 
 FASTEST_VIBRATION = 400.0
 """Lowest sample rate in Hz at which vibration of rotors and engines has no aliases."""
@@ -113,8 +114,8 @@ def rounding_step(sums: AllanSums, axis: int, white: float) -> float | None:
 
 
 HARMONIC, HIGHEST_HARMONIC = 0.01, 6.5
-"""Conditions for a harmonic: largest relative distance of the frequency from a multiple of another
-frequency, and largest multiple. Every frequency is near some high multiple."""
+"""Largest relative distance of a harmonic from a multiple of the fundamental frequency, and upper
+limit of this multiple. The limit is needed because every frequency is near some high multiple."""
 
 
 def axis_findings(sums: AllanSums, axis: int, fit: AxisFit, tau0: float) -> list[Finding]:
@@ -124,8 +125,8 @@ def axis_findings(sums: AllanSums, axis: int, fit: AxisFit, tau0: float) -> list
     if fit.filtered:
         found.append(finding('low_pass', name, frequency=4.0 / (fit.m_min * tau0)))
     shaped = fit.model.shaped.parts
-    lines = [Line(p.process.shape[0], p.value) for p in shaped if p.process.is_line]
-    found += [line_finding(name, group, tau0) for group in with_harmonics(lines)]
+    sinusoids = [Line(p.process.shape[0], p.value) for p in shaped if p.process.is_line]
+    found += [line_finding(name, group, tau0) for group in with_harmonics(sinusoids)]
     for process, value, *_ in shaped:
         if not process.is_line:
             found.append(finding(process.finding, name, **process.facts(value)))
@@ -145,8 +146,8 @@ def axis_findings(sums: AllanSums, axis: int, fit: AxisFit, tau0: float) -> list
 def with_deviations(model: NoiseModel, curve: AllanCurve) -> NoiseModel:
     """Return a copy of the model with `AxisFit.deviation` computed from the measured curve.
 
-    A finding is added for each axis with a lack of fit. It states the octave with the largest
-    difference, and this difference.
+    A finding is added for each axis with a lack of fit. The finding states the octave with the
+    largest difference between data and model, and this difference.
     """
     axes, found = {}, []
     for i, name in enumerate(curve.axes):
@@ -155,9 +156,9 @@ def with_deviations(model: NoiseModel, curve: AllanCurve) -> NoiseModel:
         axes[name] = replace(fit, deviation=largest_deviation(line, curve.axis(i)))
         if fit.lack_of_fit:
             worst = max(fit.lack_of_fit, key=lambda each: abs(math.log(each.ratio)))
-            ends = {'low': worst.low, 'high': worst.high}
-            off = math.sqrt(worst.ratio) - 1.0
-            found.append(finding('lack_of_fit', (name,), deviation=off, **ends))
+            edges = {'low': worst.low, 'high': worst.high}
+            relative_deviation = math.sqrt(worst.ratio) - 1.0
+            found.append(finding('lack_of_fit', (name,), deviation=relative_deviation, **edges))
     return replace(model, axes=axes, findings=(*model.findings, *merge_equal(found)))
 
 
@@ -169,7 +170,10 @@ class Line(NamedTuple):
 
 
 def with_harmonics(lines: Sequence[Line]) -> list[list[Line]]:
-    """Return groups of one sinusoid and its harmonics; ``lines`` must be sorted by frequency."""
+    """Return the sinusoids in groups: each group has a fundamental and then its harmonics.
+
+    ``lines`` must be sorted by frequency.
+    """
     groups: list[list[Line]] = []
     for line in lines:
         for group in groups:
@@ -184,24 +188,27 @@ def with_harmonics(lines: Sequence[Line]) -> list[list[Line]]:
 
 
 def line_finding(name: tuple[str], lines: Sequence[Line], tau0: float) -> Finding:
-    """Return the finding about a sinusoid and its harmonics.
+    """Return the finding about a sinusoid and its harmonics: a vibration or a slow disturbance.
 
-    ``name`` contains the name of the axis, and ``tau0`` is the sample period in s.
+    ``name`` contains the name of the axis. The first of the ``lines`` is the fundamental. ``tau0``
+    is the sample period in s.
     """
-    line = lines[0]
+    fundamental = lines[0]
     amplitude = math.sqrt(sum(each.amplitude**2 for each in lines))
-    if line.frequency < SLOWEST_VIBRATION:
-        period = 1.0 / line.frequency
+    if fundamental.frequency < SLOWEST_VIBRATION:
+        period = 1.0 / fundamental.frequency
         return finding('slow_disturbance', name, period=period, amplitude=amplitude)
     rate = 1.0 / tau0
-    other = rate - line.frequency
-    is_other = f'{other:.3g}' != f'{line.frequency:.3g}'
-    has_alias = rate < FASTEST_VIBRATION and line.frequency > ALIAS_FROM * rate and is_other
+    alias = rate - fundamental.frequency
+    is_distinct = f'{alias:.3g}' != f'{fundamental.frequency:.3g}'
+    has_alias = (
+        rate < FASTEST_VIBRATION and fundamental.frequency > ALIAS_FROM * rate and is_distinct
+    )
     return finding(
         'vibration',
         name,
-        frequency=line.frequency,
-        alias=other if has_alias else None,
+        frequency=fundamental.frequency,
+        alias=alias if has_alias else None,
         harmonics=', '.join(f'{each.frequency:.3g}' for each in lines[1:]) or None,
         amplitude=amplitude,
     )

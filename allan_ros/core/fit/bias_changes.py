@@ -1,15 +1,14 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Changes of the bias with time that are no noise, such as steps.
+"""Changes of the bias with time that are not noise, such as steps.
 
-An effect is a change of the bias whose form is known and whose size is not, such as a step or
-exp(-t/T).
+An effect is a change of the bias of known form and unknown size, such as a step or exp(-t/T).
 
 Method
 ------
 The size of an effect is estimated from the block means of a segment by generalized least squares.
 Then the noise is fitted again to the data minus the effect. The gain of an effect is the decrease
-of -2 log likelihood.
+of -2 log likelihood when the effect is added to the model.
 """
 
 from __future__ import annotations
@@ -40,7 +39,8 @@ MOST_CONTRASTS = 96
 """Largest number of contrasts of the block means; octave spectra describe higher frequencies."""
 
 NEAR_OCTAVES = 4
-"""Number of octaves above the frequencies of the contrasts whose spectra are used."""
+"""Number of octave spectra that are used in addition to the contrasts: the octaves directly above
+the frequencies of the contrasts."""
 
 MOST_STEPS = 5
 """Largest number of steps of an axis."""
@@ -49,17 +49,18 @@ LEAST_MEANS = 24
 """Fewest block means of a segment in which a settling and steps are searched for."""
 
 LEAST_TESTED_S = 120.0
-"""Shortest segment in s in which a settling and steps are searched for. In shorter ones, vibration
-rather than drift changes the means."""
+"""Shortest segment in s in which a settling and steps are searched for. In shorter segments,
+vibration rather than drift changes the means."""
 
 STEPS_RATIO = 0.5
-"""Largest ratio of the variances of the random walk with and without steps in the model for which
-steps are reported. A drift that is no random walk often looks like a few steps, but such steps
-explain less of the random walk."""
+"""Largest variance of the random walk in a model with steps, relative to the variance in a model
+without steps, for which the steps are reported. A drift that is not a random walk often looks like
+a few steps, but such steps explain less of the random walk."""
 
 PROMISING_SCORE = 8.0
-"""Least score of a step for which the noise is fitted again. It is below the least gain, because a
-score uses the noise of a fit without the step, which is too large if there is a step."""
+"""Least score of a step for which the noise is fitted again. It is below `GAIN_STEPS`, because the
+score is computed with the noise of a fit without the step. If there is a step, this noise is too
+large, and the score is too small."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,9 +75,9 @@ class Segment:
     known : Statistics
         Spectra of all data, and contrasts of this segment only.
     lowest : int
-        Lowest octave that is used.
+        Smallest index of the octaves that are used: the octave of the highest frequencies.
     components : tuple of Process
-        Noise of the segment: the terms, and a daily cycle in a long one.
+        Processes of the noise: the random terms, and a daily cycle if the segment is long.
     """
 
     means: BlockMeans
@@ -89,39 +90,41 @@ class Segment:
     def of(cls, known: Statistics, means: BlockMeans | None, tau0: float) -> Segment | None:
         """Return a segment from the statistics of all data and the block means of the segment.
 
-        ``tau0`` is the sample period in s. The result is None without means, or if the segment is
-        too short for a test.
+        ``tau0`` is the sample period in s. The result is None if there are no block means, or if
+        the segment is too short for a test.
         """
         if means is None or len(means.values) < LEAST_MEANS:
             return None
         if means.samples * tau0 < LEAST_TESTED_S:
             return None
         points, step, octaves = len(means.values), means.step, known.octaves
-        edges = ((o, 2.0 * points * step * lower_edge(o)) for o in range(octaves + 1))
-        cut = min((o for o, most in edges if most <= MOST_CONTRASTS), default=octaves)
-        most = min(int(2.0 * points * step * lower_edge(cut)), MOST_CONTRASTS, points - 2)
-        high = max(most, 2)
-        size = Size(points, high)
+        numbers = ((o, 2.0 * points * step * lower_edge(o)) for o in range(octaves + 1))
+        kept_octaves = min((o for o, n in numbers if n <= MOST_CONTRASTS), default=octaves)
+        possible = int(2.0 * points * step * lower_edge(kept_octaves))
+        size = Size(points, max(min(possible, MOST_CONTRASTS, points - 2), 2))
         z = means.values.T @ contrasts(size)
         group = Group(size, 1, z, z[:, :, None] * z[:, None, :])
-        used = known.octave < cut
-        own = replace(
+        kept_bins = known.octave < kept_octaves
+        of_segment = replace(
             known,
-            octave=known.octave[used],
-            f=known.f[used],
-            power=known.power[used],
-            settling=known.settling[used],
-            dof=known.dof[used],
-            dof_alone=known.dof_alone[used],
+            octave=known.octave[kept_bins],
+            f=known.f[kept_bins],
+            power=known.power[kept_bins],
+            settling=known.settling[kept_bins],
+            dof=known.dof[kept_bins],
+            dof_alone=known.dof_alone[kept_bins],
             step=step,
             groups=(group,),
         )
         daily = daily_cycle(means.samples, tau0)
         components = (*RANDOM_TERMS, daily) if daily else RANDOM_TERMS
-        return cls(means, tau0, own, max(cut - NEAR_OCTAVES, 0), components)
+        return cls(means, tau0, of_segment, max(kept_octaves - NEAR_OCTAVES, 0), components)
 
     def contrasts_of(self, shapes: Floats) -> Floats:
-        """Return the contrasts, (contrasts, n), of n series of means, (means, n)."""
+        """Return the contrasts, (contrasts, n), of n series of means, (means, n).
+
+        The first contrast, a line in time, is omitted.
+        """
         group = self.known.groups[0]
         return np.asarray(contrasts(group.size)[:, 1:].T @ shapes)
 
@@ -145,48 +148,52 @@ class AxisSegment:
 
     data: AxisData
     columns: Columns
-    z: Floats  # (contrasts,) contrasts of the block means, without the line, in units of the fit
+    # contrasts of the block means except the line in time, in units of the fit, (contrasts,)
+    z: Floats
     fit: Fit
 
     def _whitened(self, effects: Floats, fit: Fit) -> tuple[Floats, Floats]:
-        """Return effects and contrasts after whitening with the noise of a fit."""
+        """Return the contrasts of effects and of block means, whitened with the noise of a fit."""
         root = np.linalg.cholesky(np.tensordot(fit.p, self.columns.low[0], 1))
-        both = np.linalg.solve(root, np.column_stack([effects, self.z]))
-        return both[:, :-1], both[:, -1]
+        whitened = np.linalg.solve(root, np.column_stack([effects, self.z]))
+        return whitened[:, :-1], whitened[:, -1]
 
     def scores(self, effects: Floats, beside: Floats, fit: Fit) -> Floats:
         """Return the score of each column of ``effects``, (effects,).
 
-        The score is the square of the estimated size over its variance. The model of the noise is
-        ``fit``, and the effects ``beside`` are also in the model. Effects are columns of contrasts.
+        The score of an effect is the square of its estimated size, divided by the variance of this
+        estimate. The model consists of this effect, of the effects ``beside``, and of the noise of
+        ``fit``. Each column of ``effects`` and ``beside`` has the contrasts of one effect.
         """
-        white, z = self._whitened(np.column_stack([beside, effects]), fit)
-        known, white = white[:, : beside.shape[1]], white[:, beside.shape[1] :]
-        if known.shape[1]:
-            q, _ = np.linalg.qr(known)
-            white, z = white - q @ (q.T @ white), z - q @ (q.T @ z)
-        size = np.sum(white**2, axis=0)
+        whitened, z = self._whitened(np.column_stack([beside, effects]), fit)
+        whitened_beside, whitened = whitened[:, : beside.shape[1]], whitened[:, beside.shape[1] :]
+        if whitened_beside.shape[1]:
+            q, _ = np.linalg.qr(whitened_beside)
+            whitened, z = whitened - q @ (q.T @ whitened), z - q @ (q.T @ z)
+        information = np.sum(whitened**2, axis=0)
         return np.where(
-            size > 1e-9 * size.max(), (white.T @ z) ** 2 / np.maximum(size, 1e-300), 0.0
+            information > 1e-9 * information.max(),
+            (whitened.T @ z) ** 2 / np.maximum(information, 1e-300),
+            0.0,
         )
 
     def with_effects(self, effects: Floats) -> FittedEffects:
-        """Return the sizes of effects, and the fit of the noise to the data minus the effects.
+        """Estimate the sizes of effects, and fit the noise to the data minus the effects.
 
-        ``effects`` are the contrasts of effects of size 1, (contrasts, effects). The sizes,
-        (effects,), are in SI.
+        Each column of ``effects``, (contrasts, effects), has the contrasts of one effect whose size
+        is 1. The estimated sizes are in SI.
         """
         fit, sizes = self.fit, np.zeros(effects.shape[1], float)
         for _ in range(3):
-            white, z = self._whitened(effects, fit)
-            sizes = np.linalg.lstsq(white, z, rcond=None)[0]
-            rest = self.z - effects @ sizes
-            low = [LowBand(1, self.data.low[0].line, np.outer(rest, rest))]
+            whitened, z = self._whitened(effects, fit)
+            sizes = np.linalg.lstsq(whitened, z, rcond=None)[0]
+            residuals = self.z - effects @ sizes
+            low = [LowBand(1, self.data.low[0].line, np.outer(residuals, residuals))]
             data = replace(self.data, low=low)
             start = np.maximum(fit.p, 1e-6 * fit.p.max())
-            before = fit.value
+            value_before = fit.value
             fit = data.solve(fit.components, self.columns, start, tolerance=1e-2)
-            if abs(before - fit.value) < 0.1:
+            if abs(value_before - fit.value) < 0.1:
                 break
         scale = math.sqrt(self.data.scale)
         return FittedEffects(sizes * scale, fit, self.fit.value - fit.value)
@@ -197,7 +204,7 @@ class AxisSegment:
         return math.sqrt(variance * self.data.scale)
 
     def walk(self, fit: Fit) -> float:
-        """Return the variance of the random walk of a fit per sample, in SI."""
+        """Return the variance that the random walk of a fit gains per sample, in SI."""
         return float(fit.p[K]) * self.data.scale
 
 
@@ -216,11 +223,11 @@ class FittedEffects(NamedTuple):
 class BiasSteps:
     """Steps of the bias of one axis."""
 
-    ns: tuple[int, ...]  # stamps of the steps
+    ns: tuple[int, ...]  # stamps of the steps in ns
     sizes: tuple[float, ...]  # in SI
     walk_before: float  # variance of the random walk per sample, without steps in the model
     walk_after: float  # variance of the random walk per sample, with the steps in the model
-    excess: float  # gain minus the least gain of this number of steps
+    excess: float  # gain of all steps minus the least gain for this number of steps
 
 
 class _Steps(NamedTuple):
@@ -231,7 +238,7 @@ class _Steps(NamedTuple):
 
     @property
     def excess(self) -> float:
-        """Gain minus the least gain of this number of steps."""
+        """Gain of all steps minus the least gain for this number of steps."""
         return self.effects.gain - GAIN_STEPS - GAIN_MORE_STEPS * (len(self.at) - 1)
 
 
@@ -242,17 +249,17 @@ def bias_steps(segment: Segment, axis: int) -> BiasSteps | None:
         return None
     points = len(segment.means.values)
     steps = segment.contrasts_of(np.tril(np.ones((points, points)))[:, 1:])
-    tried: list[_Steps] = []
-    at: list[int] = []
+    trials: list[_Steps] = []
+    indices: list[int] = []
     fit = noise.fit
-    while len(at) < MOST_STEPS:
-        scores = noise.scores(steps, steps[:, at], fit)
+    while len(indices) < MOST_STEPS:
+        scores = noise.scores(steps, steps[:, indices], fit)
         if scores.max() < PROMISING_SCORE:
             break
-        at = [*at, int(scores.argmax())]
-        tried.append(_Steps(at, noise.with_effects(steps[:, at])))
-        fit = tried[-1].effects.fit
-    best = max(tried, key=lambda each: each.excess, default=None)
+        indices = [*indices, int(scores.argmax())]
+        trials.append(_Steps(indices, noise.with_effects(steps[:, indices])))
+        fit = trials[-1].effects.fit
+    best = max(trials, key=lambda each: each.excess, default=None)
     if best is None or best.excess <= 0.0:
         return None
     order = np.argsort(best.at)
@@ -270,11 +277,12 @@ def step_findings(sums: AllanSums, known: Statistics, without: set[int]) -> list
     """Return the findings about steps of the bias in the longest segment.
 
     ``known`` are the statistics of the sums, and ``without`` are the indices of axes that are not
-    tested. Times are counted from the start of the recording, also if its first part is excluded.
+    tested. The findings state the times of the steps since the start of the recording, even if the
+    first part of the recording is excluded.
     """
     tau0 = sums.tau0 or 1.0
-    every = [m for r in sums.recordings for m in r.means]
-    longest = max(every, key=lambda m: m.samples, default=None)
+    all_means = [m for r in sums.recordings for m in r.means]
+    longest = max(all_means, key=lambda m: m.samples, default=None)
     segment = Segment.of(known, longest, tau0)
     if longest is None or segment is None:
         return []
@@ -286,6 +294,6 @@ def step_findings(sums: AllanSums, known: Statistics, without: set[int]) -> list
             size = max(abs(s) for s in steps.sizes)
             begin = longest.age * tau0
             times = [duration_text(begin + (ns - longest.start_ns) * 1e-9) for ns in steps.ns]
-            at = ', '.join(times)
-            found.append(finding('bias_steps', (axis,), size=size, share=share, at=at))
+            times_text = ', '.join(times)
+            found.append(finding('bias_steps', (axis,), size=size, share=share, at=times_text))
     return found

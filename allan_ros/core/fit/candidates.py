@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Candidates of the search for processes, and the approximate gain of each candidate.
 
-The gain of a candidate in -2 log L is approximately the square of its score over its information.
-Both are sums over the spectra and over the groups of block means. The part that the components of
-the fit explain is subtracted from both.
+The gain in -2 log L is approximately the square of the score of a candidate, divided by its
+information. Score and information are sums over the spectra and the groups of block means, minus
+the parts that the components of the fit explain.
 """
 
 from __future__ import annotations
@@ -24,41 +24,45 @@ from .likelihood import AxisData, Fit
 from .statistics import Floats, Ints, Statistics, contrasts
 
 SHORTEST_TIME = 2.0
-"""Shortest correlation time of a Gauss-Markov process in samples; shorter ones are white noise."""
+"""Shortest correlation time of a Gauss-Markov process in samples. A process with a shorter
+correlation time looks like white noise."""
 
 WANDER = 1e-3
-"""Relative uncertainty of the frequency of a sinusoid, from which the position of its alias
-follows."""
+"""Assumed relative uncertainty of the frequency of a sinusoid. The frequency of an alias of this
+sinusoid has the same uncertainty in cycles per sample."""
 
 LEAST_OWN = 1e-5
-"""Least share of the information of a candidate that the components of the fit do not have. With a
-smaller share, the candidate cannot be told from these components."""
+"""Least share of the information of a candidate that is left after the components of the fit are
+taken into account. With a smaller share, the candidate cannot be told from these components."""
 
 
 class Moments(NamedTuple):
-    """Derivatives of the log likelihood by the coefficients of candidates, which are 0."""
+    """Derivatives of the log likelihood with respect to the coefficients of candidates, at 0."""
 
     score: Floats  # (candidates,) first derivatives
     information: Floats  # (candidates,) Fisher information
-    shared: Floats  # (candidates, components) Fisher information with the components of the fit
+    # Fisher information between candidates and components of the fit, (candidates, components)
+    shared: Floats
 
     def gains(self, fit: Fit) -> Floats:
         """Return the approximate gain of each candidate in addition to a fit, (candidates,)."""
         free = fit.free
-        size = np.sqrt(np.maximum(np.diag(fit.information)[free], 1e-300))
-        known = fit.information[np.ix_(free, free)] / np.outer(size, size)
-        known += 1e-9 * np.eye(len(free))
-        shared = self.shared[:, free] / size
-        own = self.information - np.sum(shared * np.linalg.solve(known, shared.T).T, axis=1)
-        score_of_fit = (fit.moment - fit.information @ fit.p)[free] / size
-        score = self.score - shared @ np.linalg.solve(known, score_of_fit)
-        is_distinct = (score > 0.0) & (own > LEAST_OWN * self.information)
-        return np.where(is_distinct, score**2 / np.where(is_distinct, own, 1.0), 0.0)
+        scale = np.sqrt(np.maximum(np.diag(fit.information)[free], 1e-300))
+        scaled_information = fit.information[np.ix_(free, free)] / np.outer(scale, scale)
+        scaled_information += 1e-9 * np.eye(len(free))
+        shared = self.shared[:, free] / scale
+        own_information = self.information - np.sum(
+            shared * np.linalg.solve(scaled_information, shared.T).T, axis=1
+        )
+        score_of_fit = (fit.moment - fit.information @ fit.p)[free] / scale
+        score = self.score - shared @ np.linalg.solve(scaled_information, score_of_fit)
+        is_distinct = (score > 0.0) & (own_information > LEAST_OWN * self.information)
+        return np.where(is_distinct, score**2 / np.where(is_distinct, own_information, 1.0), 0.0)
 
 
 @dataclass(frozen=True, eq=False)
 class LowBandFit:
-    """Contrasts of the block means of one group of segments, under the covariance of a fit.
+    """Matrices from which the moments of candidates are computed, for one group of segments.
 
     Attributes
     ----------
@@ -67,8 +71,8 @@ class LowBandFit:
     inverse : (contrasts, contrasts) array
         Inverse V of the covariance of the contrasts in the fit.
     excess : (contrasts, contrasts) array
-        V G V - segments V, where G is the Gram matrix of the contrasts. It is twice the derivative
-        of the log likelihood by the covariance.
+        V G V - segments V, where G is the Gram matrix of the contrasts. This matrix is twice the
+        derivative of the log likelihood with respect to the covariance.
     components : (components, contrasts, contrasts) array
         V D V, where D is the covariance of a component with the coefficient 1.
     """
@@ -80,7 +84,7 @@ class LowBandFit:
 
     @classmethod
     def all_of(cls, data: AxisData, fit: Fit) -> list[LowBandFit]:
-        """Return the contrasts of each group of segments."""
+        """Return the matrices for each group of segments of an axis."""
         out = []
         for group, d in zip(data.low, fit.columns.low):
             v = np.asarray(np.linalg.inv(np.tensordot(fit.p, d, 1)), np.float64)
@@ -101,23 +105,24 @@ class LowBandFit:
         )
 
     def waves(self, waves: Floats) -> Moments:
-        """Return the moments of sinusoids, whose covariances are w'w.
+        """Return the moments of sinusoids; the covariance of the contrasts of a sinusoid is w'w.
 
-        ``waves`` are the contrasts w of cosine and sine, (candidates, 2, contrasts), for the
-        coefficient 1. The covariances w'w are in units of `AxisData.scale`.
+        ``waves``, (candidates, 2, contrasts), has the matrix w of each sinusoid: the contrasts of
+        its cosine and of its sine, for the coefficient 1. The covariances are in units of
+        `AxisData.scale`.
         """
-        squares, half = waves @ self.inverse @ waves.transpose(0, 2, 1), 0.5 * self.segments
+        quadratic_forms, half = waves @ self.inverse @ waves.transpose(0, 2, 1), 0.5 * self.segments
         outer = (waves[:, :, :, None] * waves[:, :, None, :]).sum(1).reshape(len(waves), -1)
         return Moments(
             0.5 * np.sum((waves @ self.excess) * waves, (1, 2)),
-            half * np.sum(squares**2, (1, 2)),
+            half * np.sum(quadratic_forms**2, (1, 2)),
             half * (outer @ self.components.reshape(len(self.components), -1).T),
         )
 
 
 @dataclass(frozen=True, eq=False)
 class Kind:
-    """All candidates of one kind of process, with their expectations.
+    """All candidates of one kind of process, with the expected statistics of each.
 
     Attributes
     ----------
@@ -132,7 +137,7 @@ class Kind:
 
     @property
     def first(self) -> Process:
-        """First candidate, for properties that all candidates have in common."""
+        """The first candidate, from which properties of the kind are read."""
         return self.processes[0]
 
     @cached_property
@@ -173,67 +178,78 @@ class Kind:
     def waves(self) -> list[Floats]:
         """Contrasts of a cosine and a sine of each slow sinusoid, for each group of segments.
 
-        Each array is (sinusoids, 2, contrasts). The sum of the outer products of both is the
-        covariance of a sinusoid with random phase and the coefficient 1, in the unit of the
-        coefficient.
+        Each array is (sinusoids, 2, contrasts). The outer product of the cosine plus the outer
+        product of the sine is the covariance of a sinusoid with random phase and the coefficient 1,
+        in the unit of the coefficient.
         """
         f, step = self.number[self.slow], self.statistics.step
         gain = np.sin(np.pi * step * f) / (step * np.sin(np.pi * f)) / math.sqrt(2.0)
         out = []
         for g in self.statistics.groups:
             turns = 2.0 * np.pi * step * f[:, None] * np.arange(g.size.points)
-            both = np.stack([np.cos(turns), np.sin(turns)], axis=1) * gain[:, None, None]
-            out.append(both @ contrasts(g.size)[:, 1:])
+            wave_means = np.stack([np.cos(turns), np.sin(turns)], axis=1) * gain[:, None, None]
+            out.append(wave_means @ contrasts(g.size)[:, 1:])
         return out
 
     def gains(self, data: AxisData, fit: Fit, low: Sequence[LowBandFit]) -> Floats:
         """Return the approximate gain in -2 log L of each candidate, (candidates,).
 
-        ``low`` are the contrasts of the axis, for all groups of segments, under the same fit.
+        ``low`` are the matrices of the axis for each group of segments, computed from ``fit``.
         """
         return self.moments(data, fit, low).gains(fit)
 
     def moments(self, data: AxisData, fit: Fit, low: Sequence[LowBandFit]) -> Moments:
-        """Return the derivatives of the log likelihood by the coefficients of the candidates."""
+        """Return the derivatives of the log likelihood for all candidates; arguments as `gains`."""
         s, half = fit.spectrum(), data.dof[data.used] / 2.0
-        relative = self.power[:, data.used] / s
+        relative_power = self.power[:, data.used] / s
         moments = Moments(
-            relative @ (half * (data.power[data.used] / s - 1.0)),
-            relative**2 @ half,
-            relative @ (fit.columns.power / s[:, None] * half[:, None]),
+            relative_power @ (half * (data.power[data.used] / s - 1.0)),
+            relative_power**2 @ half,
+            relative_power @ (fit.columns.power / s[:, None] * half[:, None]),
         )
-        for group, of_group in enumerate(low if len(self.slow) else ()):
+        for group, matrices in enumerate(low if len(self.slow) else ()):
             if self.first.low_band == 'dense':
-                more = of_group.dense(self.covariances[group])
+                low_moments = matrices.dense(self.covariances[group])
             else:
-                more = of_group.waves(self.waves[group])
-            for total, part in zip(moments, more):
+                low_moments = matrices.waves(self.waves[group])
+            for total, part in zip(moments, low_moments):
                 total[self.slow] += part
         return moments
 
     def allowed(self, shortest: float, fastest: float) -> Floats:
         """Return 1 for each candidate within the limits of a search, and 0 for others.
 
-        The result is (candidates,). The limits are ``shortest``, for correlation times in samples,
-        and ``fastest``, for frequencies in cycles per sample.
+        The result is (candidates,). Frequencies must be below ``fastest``, in cycles per sample.
+        Correlation times of processes without a frequency must be at least ``shortest``, in
+        samples.
         """
-        by_frequency = FREQUENCY in self.first.parameters
-        allowed = self.number < fastest if by_frequency else self.number >= shortest
-        return allowed.astype(float)
+        has_frequency = FREQUENCY in self.first.parameters
+        is_allowed = self.number < fastest if has_frequency else self.number >= shortest
+        return is_allowed.astype(float)
 
 
 @dataclass(frozen=True, eq=False)
 class Candidates:
-    """Processes that a fit may add, with their expectations. All axes of a recording share them."""
+    """Processes that a fit may add, with the expected statistics of each.
+
+    Axes with the same `Statistics` share one object.
+    """
 
     statistics: Statistics
 
     @cached_property
     def search(self) -> Search:
         """Range of shapes that the data can tell apart."""
-        known = self.statistics
-        block = np.array([octave(o).length for o in known.octave.tolist()], float)
-        return Search(known.longest, known.step, known.crossover, known.f, block, SHORTEST_TIME)
+        statistics = self.statistics
+        block = np.array([octave(o).length for o in statistics.octave.tolist()], float)
+        return Search(
+            statistics.longest,
+            statistics.step,
+            statistics.crossover,
+            statistics.f,
+            block,
+            SHORTEST_TIME,
+        )
 
     @cached_property
     def kinds(self) -> tuple[Kind, ...]:
@@ -242,16 +258,21 @@ class Candidates:
         return tuple(Kind(grid, self.statistics) for grid in grids if grid)
 
     def alias(self, frequency: float) -> Floats:
-        """Return the largest power of the alias of a sinusoid with variance 1 in each bin, (bins,).
+        """Return the largest power in each bin, (bins,), of the alias of a sinusoid of amplitude 1.
 
-        Only octave spectra of means have aliases. The power is 0 in spectra of samples, and in bins
-        far from the frequency of the alias.
+        ``frequency`` is the frequency of the sinusoid in cycles per sample. Only octave spectra of
+        means have aliases. The power is 0 in spectra of samples, and in bins far from the frequency
+        of the alias.
         """
-        known = self.statistics
-        size = np.array([octave(o).length for o in known.octave.tolist()])
-        step = np.array([octave(o).step for o in known.octave.tolist()])
-        at = np.abs(frequency - np.round(frequency * step) / step)
-        near = np.abs(at - known.f) < 2.0 / size + WANDER * frequency
-        largest = np.max([kind.power.max(axis=0) for kind in self.kinds if kind.first.is_line], 0)
-        gain = (np.sin(np.pi * known.f) / math.sin(math.pi * frequency)) ** 2
-        return np.where(near & (step > 1) & (known.f < frequency / 2.0), largest * gain, 0.0)
+        statistics = self.statistics
+        size = np.array([octave(o).length for o in statistics.octave.tolist()])
+        step = np.array([octave(o).step for o in statistics.octave.tolist()])
+        alias_frequency = np.abs(frequency - np.round(frequency * step) / step)
+        is_near = np.abs(alias_frequency - statistics.f) < 2.0 / size + WANDER * frequency
+        largest_power = np.max(
+            [kind.power.max(axis=0) for kind in self.kinds if kind.first.is_line], 0
+        )
+        gain = (np.sin(np.pi * statistics.f) / math.sin(math.pi * frequency)) ** 2
+        return np.where(
+            is_near & (step > 1) & (statistics.f < frequency / 2.0), largest_power * gain, 0.0
+        )

@@ -2,8 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Coefficients of one axis in SI, with intervals and limits, from the selected model.
 
-A fit has variances in units of the scale of its data, and shapes in samples. This module converts
-them to the coefficients of the terms, the processes of a `Model`, and the covariance of both.
+A fit has variances in units of `AxisData.scale`, and shapes in samples. This module converts
+variances and shapes to the terms and processes of a `Model` in SI, with the covariance of the
+squared coefficients.
 """
 
 from __future__ import annotations
@@ -51,15 +52,15 @@ class Errors(NamedTuple):
     """Errors of the coefficients and shapes of a fit, in the units of the fit."""
 
     information: Floats  # Fisher information of the coefficients, then of the shapes
-    # covariance of the coefficients, in which the shapes are unknown, too; 0 for coefficients that
-    # are held at 0
+    # covariance of the coefficients if the shapes are unknown, too; 0 for coefficients that are
+    # held at 0
     covariance: Floats
     # standard error of the logarithm of each fitted number of a shape, times the coefficient
     of_shapes: Mapping[Shape, float]
 
     @classmethod
     def of(cls, data: AxisData, fit: Fit, known: Sequence[Process]) -> Errors:
-        """Return the errors of a fit; the shapes of the processes in ``known`` are known."""
+        """Return the errors of a fit; the shapes of the processes ``known`` have no errors."""
         shapes = [
             Shape(k, parameter)
             for k, process in enumerate(fit.components)
@@ -71,8 +72,10 @@ class Errors(NamedTuple):
         free = [*fit.free, *range(number, len(information))]
         covariance = np.zeros_like(information)
         covariance[np.ix_(free, free)] = inverse(information[np.ix_(free, free)])
-        scatter = np.sqrt(np.maximum(np.diag(covariance)[number:], 0.0))
-        return cls(information, covariance[:number, :number], dict(zip(shapes, scatter.tolist())))
+        shape_errors = np.sqrt(np.maximum(np.diag(covariance)[number:], 0.0))
+        return cls(
+            information, covariance[:number, :number], dict(zip(shapes, shape_errors.tolist()))
+        )
 
 
 def axis_fit(selected: SelectedModel, tau0: float, brief: bool = False) -> AxisFit:
@@ -89,7 +92,7 @@ def axis_fit(selected: SelectedModel, tau0: float, brief: bool = False) -> AxisF
         profile_interval(data, fit, i, errors.information) for i in range(len(RANDOM_TERMS))
     ]
     if not rules.signed and intervals[Q].gain <= GAIN_RESOLVED:
-        # with a q that is not resolved, the error of N would be nearly twice as large
+        # the error of N would be nearly twice as large if an unresolved q was fitted
         fit = data.solve(fit.components, fit.columns, fit.p, {Q: 0.0})
     variances, covariance = fit.p * data.scale, errors.covariance * data.scale**2
     noise = {
@@ -113,17 +116,17 @@ def axis_fit(selected: SelectedModel, tau0: float, brief: bool = False) -> AxisF
     if fit.components[K].parameters:  # another process replaces the random walk
         values['K'] = 0.0
     values['R'] = 0.0 if brief else _ramp_of_model(ramp, noise['R'].resolved)
-    order = _shaped(fit)
+    shaped = _shaped(fit)
     parts = [
         *Model.of(**values).parts,
-        *(_part(fit, k, errors, data.scale, tau0) for k in order),
+        *(_part(fit, k, errors, data.scale, tau0) for k in shaped),
     ]
     low_pass = selected._replace(fit=fit).low_pass * data.scale * tau0**2
     if low_pass:
         parts.append(Part(LowPass(), low_pass))
     return AxisFit(
         noise=noise,
-        model=Model(tuple(parts), _covariance(fit.components, covariance, order, tau0)),
+        model=Model(tuple(parts), _covariance(fit.components, covariance, shaped, tau0)),
         m_min=selected.shortest_factor,
         filtered=bool(rules.signed),
         gof_z=tested.goodness,
@@ -134,7 +137,7 @@ def axis_fit(selected: SelectedModel, tau0: float, brief: bool = False) -> AxisF
 def random_coefficient(
     term: Process, variance: float, error: float, interval: Interval, tau0: float
 ) -> Estimate:
-    """Return a random term in SI, with its interval or its upper limit.
+    """Return the coefficient of a random term in SI, with its interval or its upper limit.
 
     Parameters
     ----------
@@ -164,11 +167,11 @@ def _ramp(ramp: RampEstimate | None) -> Estimate:
     """Return the estimate of a ramp in SI, with its sign."""
     if ramp is None:
         return UNKNOWN
-    size, half = abs(ramp.value), ramp.half_width
-    if size > RAMP_RESOLVED * half:
-        found = Estimate(size, (max(size - half, 0.0), size + half))
+    size, half_width = abs(ramp.value), ramp.half_width
+    if size > RAMP_RESOLVED * half_width:
+        found = Estimate(size, (max(size - half_width, 0.0), size + half_width))
     else:
-        limit = size + half if math.isfinite(half) else None
+        limit = size + half_width if math.isfinite(half_width) else None
         found = Estimate(size or None, None, limit, 'not_observable')
     return found.times(-1.0) if ramp.value < 0.0 else found
 
@@ -187,25 +190,28 @@ def _ramp_of_model(ramp: RampEstimate | None, resolved: bool) -> float:
 
 
 def _shaped(fit: Fit) -> list[int]:
-    """Return the indices of the processes with a shape and a variance, sorted by name and shape."""
+    """Return the indices of the processes with a shape and a variance above 0.
+
+    The indices are sorted by name and shape of the processes.
+    """
     processes = fit.components
-    some = (k for k, one in enumerate(processes) if one.parameters and fit.p[k] > 0.0)
-    return sorted(some, key=lambda k: (processes[k].name, processes[k].shape))
+    shaped = (k for k, one in enumerate(processes) if one.parameters and fit.p[k] > 0.0)
+    return sorted(shaped, key=lambda k: (processes[k].name, processes[k].shape))
 
 
 def _part(fit: Fit, at: int, errors: Errors, scale: float, tau0: float) -> Part:
-    """Return the process of a fit with the index ``at`` in SI.
+    """Return the process with the index ``at`` in a fit as a part of a model in SI.
 
-    ``scale`` is the unit of the variances of the fit.
+    ``scale`` is the unit of the variances of the fit, in the squared unit of the samples.
     """
     variance, process = float(fit.p[at]), fit.components[at]
     value, in_si = process.coefficient_of(variance * scale, tau0), process.in_unit(1.0 / tau0)
-    relative = math.sqrt(max(float(errors.covariance[at, at]), 0.0)) / variance
-    ends = (
+    relative_error = math.sqrt(max(float(errors.covariance[at, at]), 0.0)) / variance
+    shape_intervals = (
         _around(number, errors.of_shapes.get(Shape(at, parameter), 0.0) / variance)
         for parameter, number in zip(in_si.parameters, in_si.shape)
     )
-    return Part(in_si, value, _around(value, relative / 2.0), tuple(ends))
+    return Part(in_si, value, _around(value, relative_error / 2.0), tuple(shape_intervals))
 
 
 def _around(value: float, relative: float) -> tuple[float, float]:
@@ -219,14 +225,17 @@ def _covariance(
 ) -> Covariance:
     """Return the covariance of the squared coefficients in SI.
 
-    The rows are the four random terms, then the other components in the ``order`` of the model.
+    The rows are the four random terms, and then the components with the indices ``order``, as in
+    the model.
     """
-    names, units = [], []
+    names, factors = [], []
     numbers: Counter[str] = Counter()
-    at = [*range(len(RANDOM_TERMS)), *(k for k in order if k >= len(RANDOM_TERMS))]
-    for k in at:
+    indices = [*range(len(RANDOM_TERMS)), *(k for k in order if k >= len(RANDOM_TERMS))]
+    for k in indices:
         process = RANDOM_TERMS[k] if k < len(RANDOM_TERMS) else components[k]
         names.append(process.letter or f'{process.name} {numbers[process.name]}')
         numbers[process.name] += 1
-        units.append(process.coefficient_of(1.0, tau0) ** 2)
-    return Covariance(tuple(names), covariance[np.ix_(at, at)] * np.outer(units, units))
+        factors.append(process.coefficient_of(1.0, tau0) ** 2)
+    return Covariance(
+        tuple(names), covariance[np.ix_(indices, indices)] * np.outer(factors, factors)
+    )

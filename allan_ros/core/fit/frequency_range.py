@@ -1,13 +1,13 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Estimate of the noise of one axis: highest frequency of the model, processes, lack of fit.
+"""Selection of the noise model of one axis, and of the highest frequency that the model describes.
 
 Low-pass filter
 ---------------
-A low-pass filter in the sensor removes power at high frequencies, which no noise type describes.
-Such an axis is fitted only below the highest frequency for which the model passes its tests. There,
-q and a term in f^4 may be negative and describe the remaining effect of the filter. If the model
-passes for no frequency, octaves that differ from the model get less weight.
+A low-pass filter in the sensor removes power at high frequencies. No noise type describes this loss
+of power. Such an axis is fitted only below the highest frequency for which the model passes its
+tests. In this fit, q and a term in f^4 may be negative, and describe the remaining effect of the
+filter. If the model passes for no frequency, octaves that differ from the model get less weight.
 """
 
 from __future__ import annotations
@@ -28,31 +28,32 @@ from .selection import Selection
 from .statistics import LowPassCurvature
 
 LACK_OF_FIT = 1e-3
-"""Probability in the chi-squared test of the octaves below which a model is rejected: false alarms
-on 0.1 % of the axes. Measured: 0.05 % of 2100 axes."""
+"""Probability in a chi-squared test of the deviance of an octave, or of all octaves, below which a
+model is rejected: false alarms on 0.1 % of the axes. Measured: 0.05 % of 2100 axes."""
 
 CURVATURE = 2.5
-"""Size, in standard errors, of the next power of f of a low-pass filter above which a filter is
-assumed: false alarms on 0.6 % of the axes (one-sided). Measured: 0.6 % of 2100 axes."""
+"""Size, in standard errors, of a further power of f in the spectrum (f^2, or f^4 if q may be
+negative) above which a low-pass filter is assumed: false alarms on 0.6 % of the axes (one-sided).
+Measured: 0.6 % of 2100 axes."""
 
 LEAST_BINS = 12
 """Fewest bins of a fit that does not use all frequencies."""
 
 WHITE_NOISE = 3.0
-"""Least ratio of the white noise to its standard error in a model that passes. The measured false
-alarms of `CURVATURE` include this test."""
+"""Least ratio of the variance of the white noise to the standard error of this variance in a model
+that passes its tests. The measured false alarms of `CURVATURE` include this test."""
 
 LOST_POWER = 0.8, 0.5
-"""Least power of an octave, relative to the power two octaves lower, for which the search for the
-highest frequency of a filtered axis tries this octave: for the highest octave, and for lower ones.
-Without this condition, several processes may imitate the filter, and the fit takes up to four times
-as long."""
+"""Least power in the highest octave of a fit, relative to the power two octaves lower, for which a
+fit of a filtered axis is tried. The first number is for a fit of all frequencies, the second for a
+fit without the highest octave of the data. Without this condition, several processes may imitate
+the filter, and the fit takes up to four times as long."""
 
 TOPS = tuple(0.5 / 2**i for i in range(8))
-"""Highest frequencies of a fit that are tried, in cycles per sample."""
+"""Frequencies that are tried as the highest frequency of a fit, in cycles per sample."""
 
 FILTER = LowPassCurvature()
-"""Term in f^4 of a low-pass filter."""
+"""Term in f^4 of the spectrum of a low-pass filter."""
 
 
 class SelectedModel(NamedTuple):
@@ -63,7 +64,8 @@ class SelectedModel(NamedTuple):
     rules : Selection
         Rules and data of the selection; bins that differ from the model have reduced weights.
     fit : Fit
-        Fitted components. q and the term f^4 may be negative if the samples are low-pass filtered.
+        Fitted components. q and the term in f^4 may be negative if the samples are low-pass
+        filtered.
     top : float
         Highest frequency of the fit in cycles per sample: 0.5 if all data are used.
     lack : dict of int to float
@@ -100,16 +102,18 @@ class SelectedModel(NamedTuple):
 
     def lack_of_fit(self, tau0: float) -> tuple[LackOfFit, ...]:
         """Return the octaves that differ from the model; ``tau0`` is the sample period in s."""
-        known = self.rules.data.statistics
+        statistics = self.rules.data.statistics
         found = []
         for o, ratio in sorted(self.lack.items()):
-            f = known.f[known.octave == o] / tau0
+            f = statistics.f[statistics.octave == o] / tau0
             found.append(LackOfFit(float(f[0]), float(f[-1]), ratio))
         return tuple(found)
 
     @property
     def low_pass(self) -> float:
-        """Coefficient q of the term 3 q/m^2 of the Allan variance due to a filter; 0 without one.
+        """Coefficient q of the term 3 q/m^2 that a filter adds to the Allan variance.
+
+        The coefficient is 0 if the samples are not low-pass filtered.
 
         At averaging factors m that are large compared with 1/top, a change d(f) of the spectrum of
         white noise changes the Allan variance by 3/m^2 times the integral of d(f)/(2 sin^2(pi f))
@@ -120,12 +124,12 @@ class SelectedModel(NamedTuple):
         if not self.rules.signed:
             return 0.0
         f = data.statistics.f
-        filters = np.array([c in (RANDOM_TERMS[Q], FILTER) for c in fit.components])
+        describes_filter = np.array([c in (RANDOM_TERMS[Q], FILTER) for c in fit.components])
         columns = replace(data, used=np.ones(len(f), bool)).columns(fit.components).power
         change = np.where(
             f < self.top,
-            columns @ np.where(filters, fit.p, 0.0),
-            data.power - columns @ np.where(filters, 0.0, fit.p),
+            columns @ np.where(describes_filter, fit.p, 0.0),
+            data.power - columns @ np.where(describes_filter, 0.0, fit.p),
         )
         step = np.array([octave(o).step for o in data.statistics.octave.tolist()])
         width = np.array([1.0 / octave(o).length for o in data.statistics.octave.tolist()])
@@ -136,22 +140,23 @@ class _Verdict(NamedTuple):
     """Result of the tests of a model."""
 
     fits: bool  # whether no octave differs from the model
-    bent: bool  # whether the highest octave looks low-pass filtered
-    hidden: bool  # whether processes of the model may imitate a filter
+    looks_filtered: bool  # whether the spectrum bends like the spectrum of a low-pass filter
+    # whether the white noise is not resolved, or processes of the model may imitate a filter
+    may_hide_filter: bool
 
     @property
     def holds(self) -> bool:
         """Whether the model has passed all tests."""
-        return self.fits and not self.bent and not self.hidden
+        return self.fits and not self.looks_filtered and not self.may_hide_filter
 
     @property
     def is_fair(self) -> bool:
-        """Whether no process may imitate a filter, and at most one other test has failed."""
-        return not self.hidden and (self.fits or not self.bent)
+        """Whether the model cannot hide a filter, and has failed at most one of the other tests."""
+        return not self.may_hide_filter and (self.fits or not self.looks_filtered)
 
 
 class _Trial(NamedTuple):
-    """Model that was selected for one highest frequency, and the result of its tests."""
+    """Model that was selected for the frequencies below ``top``, and the result of its tests."""
 
     top: float
     rules: Selection
@@ -180,7 +185,7 @@ def estimate(
 
 
 def _estimate(rules: Selection) -> SelectedModel:
-    """Return the selected model of one axis."""
+    """Return the selected model of one axis; ``rules`` contain the data of the axis."""
     data = rules.data
     if len(data.power) < LEAST_BINS:
         rules, fit = rules.selected()
@@ -190,7 +195,7 @@ def _estimate(rules: Selection) -> SelectedModel:
     lack: dict[int, float] = {}
     if not best.verdict.holds:
         rules, fit, lack = _down_weighted(rules, fit)
-    if rules.signed:  # the term in f^4 removes the bias from curvature that the test cannot detect
+    if rules.signed:  # corrects the estimates for a term in f^4 that is too small for the test
         fit = rules.data.solve(
             (*fit.components, FILTER), None, np.append(fit.p, 0.0), signed=(Q, len(fit.p))
         )
@@ -199,9 +204,9 @@ def _estimate(rules: Selection) -> SelectedModel:
 
 
 def _down_weighted(rules: Selection, fit: Fit) -> tuple[Selection, Fit, dict[int, float]]:
-    """Return selection and fit with less weight of octaves that differ from the model.
+    """Return a selection with less weight of octaves that differ from the model, and its fit.
 
-    The third result is octave -> measured over modeled power, for these octaves.
+    The third result is octave -> measured over modeled power, for the octaves that differ.
     """
     data = rules.data
     lack: dict[int, float] = {}
@@ -209,9 +214,10 @@ def _down_weighted(rules: Selection, fit: Fit) -> tuple[Selection, Fit, dict[int
         dof = data.dof.copy()
         for o, (deviance, number) in _deviances(data, fit).items():
             if _tail(deviance, number) * data.statistics.octaves < LACK_OF_FIT:
-                at = data.statistics.octave == o
-                dof[at] *= number / deviance
-                lack[o] = float(np.mean((data.power[data.used] / fit.spectrum())[at[data.used]]))
+                in_octave = data.statistics.octave == o
+                dof[in_octave] *= number / deviance
+                ratio = data.power[data.used] / fit.spectrum()
+                lack[o] = float(np.mean(ratio[in_octave[data.used]]))
         rules = replace(rules, data=replace(data, dof=dof))
         fit = rules.without_superfluous(rules.fit(fit.components, fit.p))
     return rules, fit, lack
@@ -220,16 +226,16 @@ def _down_weighted(rules: Selection, fit: Fit) -> tuple[Selection, Fit, dict[int
 def _highest(rules: Selection) -> _Trial:
     """Return the trial with the highest frequency for which the model passes all tests.
 
-    A filter explains why a model fails at one frequency and passes at a half or a quarter of it. If
-    the model is fair at a frequency (`_Verdict.is_fair`) and does not pass at these, the result is
-    the trial that is fair.
+    A trial that nearly passes is fair (`_Verdict.is_fair`). After the first fair trial, only a half
+    and a quarter of its frequency are tried: a filter explains why a model passes there. If no
+    trial passes, the result is the fair trial, or the first trial if none is fair.
     """
     f = rules.data.statistics.f
     tops = [top for top in TOPS if np.sum(f < top) >= LEAST_BINS]
     if (
         len(tops) > 1
         and _relative_power(rules.data, tops[0]) < LOST_POWER[0]
-        and _test(rules, rules.fit(rules.base)).bent
+        and _test(rules, rules.fit(rules.base)).looks_filtered
     ):
         if _leaves_white_noise(rules):
             trial = _trial(rules, tops[0])
@@ -251,53 +257,63 @@ def _highest(rules: Selection) -> _Trial:
 
 
 def _leaves_white_noise(rules: Selection) -> bool:
-    """Return whether a fit with a fast Gauss-Markov process also contains white noise.
+    """Return whether white noise is resolved in a fit with the best fast Gauss-Markov process.
 
     The spectrum of a low-pass filter has no white noise at the highest frequencies.
     """
     base = rules.fit(rules.base)
-    fast = [c for kind in rules.candidates.kinds for c in kind.processes if c.bends_spectrum]
-    fits = [rules.fit((*rules.base, c), np.append(base.p, base.p[N])) for c in fast]
+    fast_processes = [
+        c for kind in rules.candidates.kinds for c in kind.processes if c.bends_spectrum
+    ]
+    fits = [rules.fit((*rules.base, c), np.append(base.p, base.p[N])) for c in fast_processes]
     best = min(fits, key=lambda each: each.value)
     return float(best.p[N]) > WHITE_NOISE * math.sqrt(best.covariance()[N, N])
 
 
 def _is_rather_filter(rules: Selection, fit: Fit) -> bool:
-    """Return whether a filter explains the data as well as fast Gauss-Markov processes."""
-    fast = np.array([c.bends_spectrum for c in fit.components])
-    if rules.signed or not fast.any():
+    """Return whether a filter explains the data as well as the fast Gauss-Markov processes do."""
+    is_fast = np.array([c.bends_spectrum for c in fit.components])
+    if rules.signed or not is_fast.any():
         return False
-    kept = [c for c, one in zip(fit.components, fast) if not one]
-    filtered = replace(rules, signed=(Q, len(kept)))
-    other = filtered.fit((*kept, FILTER), np.append(fit.p[~fast], 0.0))
-    return other.value - fit.value < GAIN_RESOLVED
+    other_components = [c for c, fast in zip(fit.components, is_fast) if not fast]
+    filter_rules = replace(rules, signed=(Q, len(other_components)))
+    filter_fit = filter_rules.fit((*other_components, FILTER), np.append(fit.p[~is_fast], 0.0))
+    return filter_fit.value - fit.value < GAIN_RESOLVED
 
 
 def _loses_power(data: AxisData, fit: Fit) -> bool:
-    """Return whether the highest frequencies have less power than the white noise of a fit.
+    """Return whether the highest octave of the data has less power than the white noise of a fit.
 
-    The median over the bins is used, on which a few sinusoids have no effect.
+    The power is the median over the bins, on which a few sinusoids have no effect.
     """
-    high = data.statistics.f > TOPS[1]
-    error = math.sqrt(math.pi / float(data.statistics.dof[high].sum()))
-    return float(np.median(data.power[high])) < (1.0 - CURVATURE * error) * float(fit.p[N])
+    is_high = data.statistics.f > TOPS[1]
+    error = math.sqrt(math.pi / float(data.statistics.dof[is_high].sum()))
+    return float(np.median(data.power[is_high])) < (1.0 - CURVATURE * error) * float(fit.p[N])
 
 
 def _relative_power(data: AxisData, top: float) -> float:
     """Return the power in the octave below ``top`` relative to the power two octaves lower.
 
-    They are the median and the minimum over the bins, on which a few sinusoids have no effect.
+    The first power is the median over the bins of its octave, the second is the minimum. A few
+    sinusoids have no effect on the median or on the minimum.
     """
     f, power = data.statistics.f, data.power
-    high, low = power[(f > top / 2.0) & (f < top)], power[(f > top / 8.0) & (f < top / 4.0)]
-    return float(np.median(high) / low.min()) if len(high) and len(low) else 1.0
+    high_power, low_power = (
+        power[(f > top / 2.0) & (f < top)],
+        power[(f > top / 8.0) & (f < top / 4.0)],
+    )
+    return (
+        float(np.median(high_power) / low_power.min())
+        if len(high_power) and len(low_power)
+        else 1.0
+    )
 
 
 def _trial(rules: Selection, top: float) -> _Trial:
-    """Select a model up to the frequency ``top`` and test it."""
+    """Select a model for the frequencies below ``top``, and test this model."""
     f = rules.data.statistics.f
     rules = replace(rules, data=replace(rules.data, used=f < top), fastest=top)
-    if top < 0.5:  # no process may imitate a filter
+    if top < 0.5:  # q describes the filter; no process must be fast enough to imitate it
         rules = replace(rules, signed=(Q,), shortest=8.0 / top, fastest=top / 2.0)
     rules, fit = rules.selected()
     return _Trial(top, rules, fit, _test(rules, fit))
@@ -330,26 +346,29 @@ def _tail(deviance: float, number: float) -> float:
 def _test(rules: Selection, fit: Fit) -> _Verdict:
     """Return the result of the tests of a model.
 
-    A low-pass filter causes a significant next power of f (f^2, or f^4 if q may be negative), white
-    noise that is not resolved, or processes that imitate the filter.
+    A low-pass filter is recognized by one of three signs: a significant further power of f in the
+    spectrum (f^2, or f^4 if q may be negative), white noise that is not resolved, or processes that
+    imitate the filter.
     """
     data = rules.data
     parts = list(_deviances(data, fit).values())
     tails = [_tail(x, n) * len(parts) for x, n in parts]
     tails.append(_tail(sum(x for x, _ in parts), sum(n for _, n in parts)))
     s = fit.spectrum()
-    fitted = np.flatnonzero(fit.p != 0.0)
+    nonzero = np.flatnonzero(fit.p != 0.0)
     component = FILTER if rules.signed else RANDOM_TERMS[Q]
     power = data.statistics.column(component, data.axis).power[data.used]
-    root = np.sqrt(data.dof[data.used] / 2.0)
-    a = np.column_stack([power, fit.columns.power[:, fitted]]) * (root / s)[:, None]
+    root_weights = np.sqrt(data.dof[data.used] / 2.0)
+    a = np.column_stack([power, fit.columns.power[:, nonzero]]) * (root_weights / s)[:, None]
     covariance = inverse(a.T @ a)
-    score = a.T @ ((data.power[data.used] / s - 1.0) * root)
+    score = a.T @ ((data.power[data.used] / s - 1.0) * root_weights)
     z = float(covariance[0] @ score) / math.sqrt(covariance[0, 0])
     white = 0.0
     if fit.p[N] > 0.0:
-        at = 1 + int(np.searchsorted(fitted, N))
+        at = 1 + int(np.searchsorted(nonzero, N))
         white = float(fit.p[N]) / math.sqrt(covariance[at, at])
-    bent = abs(z) > CURVATURE if rules.signed else fit.p[Q] == 0.0 and z < -CURVATURE
-    hidden = white < WHITE_NOISE or rules.imitates_filter(fit) or _is_rather_filter(rules, fit)
-    return _Verdict(min(tails) >= LACK_OF_FIT, bent, hidden)
+    is_bent = abs(z) > CURVATURE if rules.signed else fit.p[Q] == 0.0 and z < -CURVATURE
+    may_hide_filter = (
+        white < WHITE_NOISE or rules.imitates_filter(fit) or _is_rather_filter(rules, fit)
+    )
+    return _Verdict(min(tails) >= LACK_OF_FIT, is_bent, may_hide_filter)

@@ -41,8 +41,8 @@ POWERS = (-2, -1, 0, 1, 2)
 """Exponents of tau, in the order of `TERMS`."""
 
 PAPER_FACTORS = (3.0, 1.0, FLICKER_FLOOR, 1.0 / 3.0, 0.5)
-"""A_p divided by the squared coefficient, in the order of `TERMS`: 3 Q^2, N^2, (2 ln2/pi) B^2,
-K^2/3, R^2/2 (the paper's eq. 3; IEEE Std 952-1997 annex C)."""
+"""Factors of the squared coefficients in A_p, in the order of `TERMS`. The A_p are 3 Q^2, N^2,
+(2 ln2/pi) B^2, K^2/3 and R^2/2 (the paper's eq. 3; IEEE Std 952-1997 annex C)."""
 
 
 def fit_paper(sums: AllanSums) -> NoiseModel:
@@ -53,10 +53,10 @@ def fit_paper(sums: AllanSums) -> NoiseModel:
     """
     tau0 = sample_period(sums)
     tau = sums.m * tau0
-    some = (tau <= LONGEST_TAU) & (sums.group_count > 0)
-    columns = tau[some, None] ** np.array(POWERS, float)
+    is_fitted = (tau <= LONGEST_TAU) & (sums.group_count > 0)
+    columns = tau[is_fitted, None] ** np.array(POWERS, float)
     scale = np.sqrt((columns**2).sum(axis=0))
-    points = int(some.sum())
+    points = int(is_fitted.sum())
     findings: list[Finding] = []
     axes = {}
     if points < len(TERMS):
@@ -64,7 +64,7 @@ def fit_paper(sums: AllanSums) -> NoiseModel:
     for i, (axis, sign) in enumerate(zip(sums.axes, _signs_of_ramps(sums))):
         a = np.full(len(TERMS), np.nan)
         if points >= len(TERMS):
-            a = (np.linalg.pinv(columns / scale) / scale[:, None]) @ sums.group_avar[some, i]
+            a = (np.linalg.pinv(columns / scale) / scale[:, None]) @ sums.group_avar[is_fitted, i]
         axes[axis] = _axis_fit(a / PAPER_FACTORS, sign)
         negative = ', '.join(term for term, value in zip(TERMS, a) if value < 0.0)
         if negative:
@@ -82,7 +82,10 @@ def _signs_of_ramps(sums: AllanSums) -> list[int]:
 
 
 def _axis_fit(squares: Floats, sign: int) -> AxisFit:
-    """Return the fit of an axis; squared coefficients <= 0 give no value."""
+    """Return the fit of an axis; a term whose square is not above 0 has no value.
+
+    ``squares``, (terms,), are the squared coefficients in SI, and ``sign`` is the sign of the ramp.
+    """
     noise = {term: Estimate(None, status='not_observable') for term in TERMS}
     for term, square in zip(TERMS, squares.tolist()):
         if square > 0.0:
@@ -101,8 +104,8 @@ FREEDOM_PER_AVERAGE = 0.75
 """Degrees of freedom of an overlapping Allan variance at tau, divided by record/tau - 1."""
 
 LEAST_ERROR = 0.05
-"""Smallest relative standard error of an Allan variance. It stands for errors that correlated
-points have in common, which their scatter does not show."""
+"""Smallest relative standard error of an Allan variance. It accounts for errors that neighboring
+points of a curve have in common, because the points are correlated."""
 
 LEAST_POINTS = 6
 """Fewest points of a curve: one more than there are terms."""
@@ -127,7 +130,7 @@ def fit_curve(tau: ArrayLike, adev: ArrayLike, record: float | None = None) -> A
     Returns
     -------
     AxisFit
-        Fit in SI. The intervals are approximate, and R has no value.
+        Fit in SI. The intervals are approximate, and R is not fitted.
 
     Raises
     ------
@@ -150,16 +153,18 @@ def fit_curve(tau: ArrayLike, adev: ArrayLike, record: float | None = None) -> A
             f'at least {2.0 * tau[-1]:g} s'
         )
     seconds = record or DEFAULT_RECORD * float(tau[-1])
-    freedom = np.maximum(FREEDOM_PER_AVERAGE * (seconds / tau - 1.0), 1.0)
-    relative = np.sqrt(2.0 / freedom + LEAST_ERROR**2)
-    units = np.stack([3.0 / tau**2, 1.0 / tau, np.full(len(tau), FLICKER_FLOOR), tau / 3.0], axis=1)
+    dof = np.maximum(FREEDOM_PER_AVERAGE * (seconds / tau - 1.0), 1.0)
+    relative_errors = np.sqrt(2.0 / dof + LEAST_ERROR**2)
+    unit_avar = np.stack(
+        [3.0 / tau**2, 1.0 / tau, np.full(len(tau), FLICKER_FLOOR), tau / 3.0], axis=1
+    )
     model = avar
     for _ in range(3):  # standard errors from the measured curve, then from the model
-        rows = units / (relative * model)[:, None]
-        size = np.linalg.norm(rows, axis=0)
-        squares = nonnegative_least_squares(rows / size, avar / (relative * model)) / size
-        model = np.maximum(units @ squares, np.finfo(float).tiny)
-    errors = np.sqrt(np.diag(np.linalg.pinv((rows / size).T @ (rows / size)))) / size
+        rows = unit_avar / (relative_errors * model)[:, None]
+        norms = np.linalg.norm(rows, axis=0)
+        squares = nonnegative_least_squares(rows / norms, avar / (relative_errors * model)) / norms
+        model = np.maximum(unit_avar @ squares, np.finfo(float).tiny)
+    errors = np.sqrt(np.diag(np.linalg.pinv((rows / norms).T @ (rows / norms)))) / norms
     noise = {
         term: _coefficient(float(square), float(error))
         for term, square, error in zip('QNBK', squares, errors)
@@ -169,21 +174,27 @@ def fit_curve(tau: ArrayLike, adev: ArrayLike, record: float | None = None) -> A
 
 
 def _decimated(tau: Floats, adev: Floats) -> tuple[Floats, Floats]:
-    """Return tau, sorted, and Allan variance of the valid points, at most 4 per octave."""
-    valid = np.isfinite(tau) & (tau > 0.0) & (adev > 1e-150) & (adev < 1e150)
-    order = np.argsort(tau[valid])
-    tau, avar = tau[valid][order], adev[valid][order] ** 2
+    """Return averaging times, ascending, and Allan variances of at most 4 valid points per octave.
+
+    Raises AllanError if there are too few valid points.
+    """
+    is_valid = np.isfinite(tau) & (tau > 0.0) & (adev > 1e-150) & (adev < 1e150)
+    order = np.argsort(tau[is_valid])
+    tau, avar = tau[is_valid][order], adev[is_valid][order] ** 2
     if len(tau):
         bins = np.round(np.log2(tau / tau[0]) * POINTS_PER_OCTAVE)
-        first = np.unique(bins, return_index=True)[1]
-        tau, avar = tau[first], avar[first]
+        first_points = np.unique(bins, return_index=True)[1]
+        tau, avar = tau[first_points], avar[first_points]
     if len(tau) < LEAST_POINTS:
         raise AllanError(f'the curve has {len(tau)} usable points: give at least {LEAST_POINTS}')
     return tau, avar
 
 
 def _coefficient(square: float, error: float) -> Estimate:
-    """Return a coefficient from its square, with its interval or its upper limit."""
+    """Return a coefficient with its interval or its upper limit.
+
+    ``square`` is the square of the coefficient, and ``error`` is the standard error of the square.
+    """
     value, high = math.sqrt(square), math.sqrt(square + Z_95 * error)
     if square < RESOLVED * error or not square:
         status: Status = 'likely' if square > error else 'not_observable'

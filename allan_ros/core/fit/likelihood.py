@@ -5,8 +5,9 @@
 Likelihood
 ----------
 The power of each bin of the octave spectra has a Gamma distribution with known degrees of freedom.
-The contrasts of the block means are Gaussian. The contrast that is a line is not used, so this is
-the restricted likelihood (REML) of the means with an unknown mean and ramp in each segment.
+The contrasts of the block means are Gaussian. The first contrast, a line in time, is not used. The
+likelihood is therefore the restricted likelihood (REML) of the block means with an unknown mean and
+an unknown ramp in each segment.
 
 The expected power and the covariance of the contrasts are linear in the coefficients. One step of
 Fisher scoring is therefore a linear least-squares problem with nonnegative unknowns.
@@ -45,7 +46,7 @@ class Shape(NamedTuple):
 
 
 class Columns(NamedTuple):
-    """Expectations of the statistics for each component of a model, with the coefficient 1."""
+    """Expected statistics for each component of a model, with the coefficient 1."""
 
     power: Floats  # (bins, components) expected power
     # covariance of the contrasts of each group, (components, contrasts, contrasts)
@@ -70,7 +71,7 @@ class Fit:
     moment : (components,) array
         ``moment`` - ``information`` @ ``p`` is the score (gradient of the log likelihood).
     columns : Columns
-        Expectations of the components.
+        Expected statistics of the components.
     signed : tuple of int
         Indices of the coefficients that may be negative.
     """
@@ -118,11 +119,15 @@ def inverse(information: Floats) -> Floats:
 
 
 class LowBand(NamedTuple):
-    """Contrasts z (weighted sums of block means) of all segments of equal length, for one axis."""
+    """Contrasts z (weighted sums of block means) of all segments of equal length, for one axis.
+
+    The first contrast is a line in time.
+    """
 
     segments: int  # number of segments
-    line: Floats  # (contrasts,) sum of z over the segments; the first contrast is the line
-    gram: Floats  # (contrasts - 1, contrasts - 1) sum of z z' over the segments, without the line
+    line: Floats  # (contrasts,) sum of z over the segments
+    # sum of z z' over the segments, without the first contrast, (contrasts - 1, contrasts - 1)
+    gram: Floats
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,11 +143,11 @@ class AxisData:
     scale : float
         Variance by which the statistics are divided.
     power : (bins,) array
-        Mean power of each bin, without a settling.
+        Mean power of each bin, without the power of a settling.
     low : list of LowBand
         Contrasts of each group of segments.
     dof : (bins,) array
-        Degrees of freedom; smaller where the model is less accurate than the data.
+        Degrees of freedom of the power; reduced where the model is less accurate than the data.
     used : (bins,) array of bool
         Bins below the highest frequency of the fit.
     """
@@ -176,26 +181,30 @@ class AxisData:
         return cls(statistics, axis, scale, power / scale, low, dof, used)
 
     def columns(self, components: Sequence[Process], tangents: Sequence[Shape] = ()) -> Columns:
-        """Return the expectations of components, then derivatives by the logarithm of shapes.
+        """Return the expected statistics of components, and then their derivatives.
 
-        ``tangents`` are the numbers of shapes for which the derivatives are computed.
+        There is one derivative for each number of a shape in ``tangents``, with respect to the
+        logarithm of this number.
         """
         columns = [self.statistics.column(each, self.axis) for each in components]
         power = [each.power for each in columns]
         low = [[each.low[g][1:, 1:] for each in columns] for g in range(len(self.low))]
         for i, parameter in tangents:
             h = parameter.derivative_step
-            above = self.statistics.column(components[i].scaled(parameter, math.exp(h)), self.axis)
-            power.append((above.power - power[i]) / h)
-            for group, a in zip(low, above.low):
+            shifted = self.statistics.column(
+                components[i].scaled(parameter, math.exp(h)), self.axis
+            )
+            power.append((shifted.power - power[i]) / h)
+            for group, a in zip(low, shifted.low):
                 group.append((a[1:, 1:] - group[i]) / h)
         return Columns(np.array(power).T[self.used], [np.array(group) for group in low])
 
     def moments(self, columns: Columns, p: Floats) -> tuple[float, Floats, Floats] | None:
-        """Return -2 log L, the information I and the moment m of the step argmin p'Ip - 2m'p.
+        """Return -2 log L, the Fisher information I and the moment m at the coefficients ``p``.
 
-        I is (components, components), and m is (components,), as ``p``. The result is None if the
-        expected power or covariance is not positive.
+        The next step of Fisher scoring leads to the x that minimizes x'Ix - 2m'x. I is (components,
+        components), and m is (components,), as ``p``. The result is None if the expected power or
+        covariance is not positive.
         """
         from scipy.linalg import lapack  # slow to import
 
@@ -209,8 +218,8 @@ class AxisData:
         information, moment = a.T @ a, a.T @ (ratio * np.sqrt(half))
         for (count, _, gram), d in zip(self.low, columns.low):
             flat = d.reshape(len(p), -1)
-            root, bad = lapack.dpotrf((p @ flat).reshape(d.shape[1:]), lower=1)
-            if bad:
+            root, failure = lapack.dpotrf((p @ flat).reshape(d.shape[1:]), lower=1)
+            if failure:
                 return None
             inverse_root = lapack.dtrtri(root, lower=1)[0]
             v = inverse_root.T @ inverse_root
@@ -224,17 +233,17 @@ class AxisData:
     def start(self, columns: Columns) -> Floats:
         """Return coefficients to start from, (components,), in units of `scale`.
 
-        No component alone exceeds any statistic.
+        With these coefficients, no component alone exceeds any measured statistic.
         """
-        largest = np.full(len(columns.power.T), np.inf)
+        upper_bounds = np.full(len(columns.power.T), np.inf)
         if len(columns.power):
             ratios = self.power[self.used][:, None] / np.maximum(columns.power, 1e-300)
-            largest = ratios.min(axis=0)
+            upper_bounds = ratios.min(axis=0)
         for (count, _, gram), d in zip(self.low, columns.low):
             traces = np.trace(d, axis1=1, axis2=2)
             mean = float(np.trace(gram)) / count
-            largest = np.minimum(largest, mean / np.maximum(traces, 1e-300))
-        return np.asarray(np.maximum(largest, 1e-12) / len(largest))
+            upper_bounds = np.minimum(upper_bounds, mean / np.maximum(traces, 1e-300))
+        return np.asarray(np.maximum(upper_bounds, 1e-12) / len(upper_bounds))
 
     def solve(
         self,
@@ -253,7 +262,7 @@ class AxisData:
         components : sequence of Process
             Processes with their shapes in samples.
         columns : Columns, optional
-            Expectations of the components, if already computed.
+            Expected statistics of the components, if already computed.
         p : (components,) array, optional
             Coefficients to start from.
         held : mapping of index to value, optional
@@ -263,7 +272,7 @@ class AxisData:
         rounds : int
             Largest number of steps.
         tolerance : float
-            The iteration ends when a step changes -2 log L by less.
+            Change of -2 log L below which a step is the last one.
         """
         columns = self.columns(components) if columns is None else columns
         p = self.start(columns) if p is None else p.copy()
@@ -273,23 +282,23 @@ class AxisData:
         state = self.moments(columns, p)
         if state is None:
             return Fit(tuple(components), p, math.inf, columns, signed)
-        fixed = flags(len(p), held)
-        free = np.flatnonzero(~fixed)
-        sign = flags(len(p), signed)[free]
+        is_held = flags(len(p), held)
+        free = np.flatnonzero(~is_held)
+        may_be_negative = flags(len(p), signed)[free]
         for _ in range(rounds):
             value, information, moment = state
-            new = p.copy()
-            new[free] = _step(
+            proposed = p.copy()
+            proposed[free] = _step(
                 information[np.ix_(free, free)],
-                (moment - information[:, fixed] @ p[fixed])[free],
-                sign,
+                (moment - information[:, is_held] @ p[is_held])[free],
+                may_be_negative,
             )
-            d = new - p
+            d = proposed - p
             expected = float(d @ (2.0 * (moment - information @ p) - information @ d))
-            if expected < tolerance and np.all(columns.power @ new > 0.0):
-                p, state = new, (value - expected, information, moment)
+            if expected < tolerance and np.all(columns.power @ proposed > 0.0):
+                p, state = proposed, (value - expected, information, moment)
                 break
-            size, trial = 1.0, self.moments(columns, new)
+            size, trial = 1.0, self.moments(columns, proposed)
             while size > 0.01 and (trial is None or trial[0] > value + 1e-6):
                 size /= 2.0
                 trial = self.moments(columns, p + size * d)
@@ -300,13 +309,16 @@ class AxisData:
 
 
 def _step(information: Floats, moment: Floats, sign: Flags) -> Floats:
-    """Return argmin p'Ip - 2m'p with p >= 0 except where ``sign`` is True."""
+    """Return the p that minimizes p'Ip - 2m'p, with p >= 0 except where ``sign`` is True.
+
+    I is ``information``, and m is ``moment``.
+    """
     d = np.sqrt(np.maximum(np.diag(information), 1e-300))
     root = np.linalg.cholesky(information / np.outer(d, d) + RIDGE * np.eye(len(d)))
     target = np.linalg.solve(root, moment / d)
-    free = np.linalg.solve(root.T, target)
-    if np.all((free >= 0.0) | sign):
-        return np.asarray(free / d)
+    unconstrained = np.linalg.solve(root.T, target)
+    if np.all((unconstrained >= 0.0) | sign):
+        return np.asarray(unconstrained / d)
     return nonnegative_least_squares(root.T, target, sign) / d
 
 
@@ -323,11 +335,11 @@ class Interval(NamedTuple):
 
 
 def information_with_shapes(data: AxisData, fit: Fit, shapes: Sequence[Shape]) -> Floats:
-    """Return the Fisher information of the coefficients of a fit and of some shapes.
+    """Return the Fisher information of the coefficients of a fit and of some numbers of shapes.
 
     The result is (components + shapes, components + shapes). The rows are the coefficients, then
-    the shapes. The unknown of a shape is the logarithm of its number, times the coefficient of the
-    component.
+    the numbers of shapes. The unknown of a row of a shape is the logarithm of the number, times the
+    coefficient of the component.
     """
     columns = data.columns(fit.components, shapes)
     moments = data.moments(columns, np.append(fit.p, np.zeros(len(shapes))))
@@ -350,11 +362,11 @@ def profile_interval(
     free = np.union1d(fit.free, [i])
     covariance = inverse(fit.information[np.ix_(free, free)])[:, int(np.searchsorted(free, i))]
     error = math.sqrt(covariance[np.searchsorted(free, i)])
-    wider = 1.0
+    widening = 1.0
     if with_shapes is not None:
-        every = np.append(free, np.arange(len(fit.p), len(with_shapes)))
-        scatter = np.diag(inverse(with_shapes[np.ix_(every, every)]))
-        wider = max(math.sqrt(scatter[np.searchsorted(free, i)]) / error, 1.0)
+        all_free = np.append(free, np.arange(len(fit.p), len(with_shapes)))
+        variances = np.diag(inverse(with_shapes[np.ix_(all_free, all_free)]))
+        widening = max(math.sqrt(variances[np.searchsorted(free, i)]) / error, 1.0)
 
     def distance(value: float) -> float:
         start = fit.p.copy()
@@ -369,7 +381,7 @@ def profile_interval(
 
     z = math.sqrt(LEVEL_95)
     if i in fit.signed:
-        return Interval(estimate - z * wider * error, estimate + z * wider * error, 0.0)
+        return Interval(estimate - z * widening * error, estimate + z * widening * error, 0.0)
     at_zero = distance(0.0) if estimate < 20.0 * error else 20.0
     low = 0.0
     if at_zero > z:
@@ -382,14 +394,17 @@ def profile_interval(
         at_high = distance(high)
     high = _crossing(distance, z, estimate, high, at_high)
     return Interval(
-        max(estimate - wider * (estimate - low), 0.0),
-        estimate + wider * (high - estimate),
-        (at_zero / wider) ** 2,
+        max(estimate - widening * (estimate - low), 0.0),
+        estimate + widening * (high - estimate),
+        (at_zero / widening) ** 2,
     )
 
 
 def _crossing(distance, z: float, inside: float, outside: float, at_outside: float) -> float:  # type: ignore[no-untyped-def]
-    """Return the value between ``inside`` and ``outside`` at which ``distance`` is z."""
+    """Return the value between ``inside`` and ``outside`` at which ``distance`` is z.
+
+    ``distance`` is 0 at ``inside``, and ``at_outside`` at ``outside``.
+    """
     at_inside, value = 0.0, outside
     for _ in range(10):
         share = (z - at_inside) / max(at_outside - at_inside, 1e-9)
@@ -407,8 +422,8 @@ def _crossing(distance, z: float, inside: float, outside: float, at_outside: flo
 class RampEstimate(NamedTuple):
     """Estimate of a ramp."""
 
-    value: float
-    error: float  # standard error
+    value: float  # change per unit of time
+    error: float  # standard error of the value
     dof: float  # degrees of freedom of the standard error
 
     def times(self, factor: float) -> RampEstimate:
@@ -427,8 +442,8 @@ def ramp_estimate(data: AxisData, fit: Fit) -> RampEstimate | None:
     """Return the ramp that all segments have in common, or None if there are too few block means.
 
     The ramp is the change per sample of the scaled data. It is estimated from the block means by
-    generalized least squares with the fitted covariance. The degrees of freedom of its error follow
-    from the errors of the coefficients (Satterthwaite).
+    generalized least squares with the fitted covariance. The degrees of freedom of its standard
+    error follow from the errors of the coefficients (Satterthwaite).
     """
     information, moment = 0.0, 0.0
     slope = np.zeros(len(fit.p))
@@ -436,17 +451,19 @@ def ramp_estimate(data: AxisData, fit: Fit) -> RampEstimate | None:
     columns = [statistics.column(c, data.axis).low for c in fit.components]
     for g, (group, low) in enumerate(zip(statistics.groups, data.low)):
         d = np.array([column[g] for column in columns])
-        line = contrasts(group.size)[:, 0]
+        line_weights = contrasts(group.size)[:, 0]
         # the line contrast of a ramp of 1 per sample
-        unit = statistics.step * float(np.arange(group.size.points) @ line)
+        unit_line = statistics.step * float(np.arange(group.size.points) @ line_weights)
         e = np.zeros(d.shape[1])
-        e[0] = unit
+        e[0] = unit_line
         w = np.linalg.solve(np.tensordot(fit.p, d, 1), e)
-        information += group.segments * float(w[0]) * unit
+        information += group.segments * float(w[0]) * unit_line
         moment += float(w @ low.line)
         slope += group.segments * np.einsum('i,kij,j->k', w, d, w)
     if not information > 0.0:
         return None
     slope = slope / information
-    scatter = float(slope @ fit.covariance() @ slope)
-    return RampEstimate(moment / information, information**-0.5, max(2.0 / max(scatter, 1e-9), 1.0))
+    relative_variance = float(slope @ fit.covariance() @ slope)
+    return RampEstimate(
+        moment / information, information**-0.5, max(2.0 / max(relative_variance, 1e-9), 1.0)
+    )

@@ -30,36 +30,36 @@ means."""
 def fit_likelihood(sums: AllanSums, of_axes: Sequence[Statistics] = ()) -> NoiseModel:
     """Estimate the noise of every axis by maximum likelihood.
 
-    ``of_axes`` are the statistics of the sums for each axis, if they are already computed. The
-    settling of a sensor is already subtracted from its statistics.
+    ``of_axes`` are the statistics of the sums for each axis, if they are already computed. From
+    these statistics, the settling of a sensor must already be subtracted.
 
     Too few data raise no error: a term that the data do not determine has no value and no limit,
     and a finding reports the axis.
     """
     tau0 = sums.tau0 or 1.0
     of_axes = of_axes or [statistics(sums)] * len(sums.axes)
-    of_each = {one: Candidates(one) for one in of_axes}
+    candidates_of = {one: Candidates(one) for one in of_axes}
     axes: dict[str, AxisFit] = {}
     findings: list[Finding] = []
     for a, (name, known) in enumerate(zip(sums.axes, of_axes)):
-        candidates, daily = of_each[known], daily_cycle(known.longest, tau0)
-        size = len(known.f) + sum(g.size.high for g in known.groups)
-        if size < LEAST_STATISTICS or _is_constant(sums, a):
+        candidates, daily = candidates_of[known], daily_cycle(known.longest, tau0)
+        number = len(known.f) + sum(g.size.high for g in known.groups)
+        if number < LEAST_STATISTICS or _is_constant(sums, a):
             axes[name] = without_estimates()
-            constant = len(sums.count) > 0 and _is_constant(sums, a)
+            is_constant = len(sums.count) > 0 and _is_constant(sums, a)
             id, numbers = (
-                ('no_noise', {}) if constant else ('record_too_short', {'samples': sums.samples})
+                ('no_noise', {}) if is_constant else ('record_too_short', {'samples': sums.samples})
             )
             findings.append(finding(id, (name,), **numbers))
             continue
-        if not np.all(np.isfinite(known.power[:, a])):  # the stream reports impossible units
+        if not np.all(np.isfinite(known.power[:, a])):  # wrong unit, which the stream reports
             axes[name] = without_estimates()
             continue
         brief = sums.samples * tau0 < LEAST_DRIFT_S
         try:
             result = estimate(AxisData.of(known, a), candidates, daily)
             axes[name] = axis_fit(result, tau0, brief)
-        except np.linalg.LinAlgError:  # a periodic signal: all digits beside it are rounding errors
+        except np.linalg.LinAlgError:  # a periodic signal; all other digits are rounding errors
             axes[name] = without_estimates()
             findings.append(finding('no_noise', (name,)))
             continue

@@ -9,8 +9,8 @@ from ..errors import AllanError
 from .result import NoiseModel
 
 METHODS = ('likelihood', 'paper')
-"""Fit methods: maximum likelihood of octave spectra and block means, and the least squares of Cong
-et al. 2019."""
+"""Fit methods: maximum likelihood for octave spectra and block means, and least squares on Allan
+variances as in Cong et al. 2019."""
 
 
 def fit_noise(sums: AllanSums, method: str = 'likelihood') -> NoiseModel:

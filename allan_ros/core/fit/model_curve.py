@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Allan deviation of a fitted model, largest deviation of the measured curve, and dominant terms.
 
-The dominant term in each range of averaging times is stated as in Cong et al. 2019.
+Cong et al. 2019 state the dominant term in each range of averaging times, too.
 """
 
 from __future__ import annotations
@@ -53,20 +53,21 @@ def model_line(fit: AxisFit, tau0: float, m: NDArray[np.int64]) -> ModelLine:
         line, upper = (
             np.sqrt(model.avar(m * tau0, tau0)) for model in (fit.model, fit.model_at_limits)
         )
-    drawn = (m >= fit.m_min) & (line > 0.0)
-    return ModelLine(np.where(drawn, line, np.nan), np.where(drawn, upper, np.nan))
+    is_described = (m >= fit.m_min) & (line > 0.0)
+    return ModelLine(np.where(is_described, line, np.nan), np.where(is_described, upper, np.nan))
 
 
 def largest_deviation(line: ModelLine, curve: AxisCurve) -> Deviation | None:
     """Return the largest significant deviation of a measured curve from the model, or None.
 
-    A point above ``line.adev`` is compared with ``line.upper``. A deviation is significant if it
-    exceeds `SIGNIFICANT` error bars on a logarithmic axis. Uncertain points are not compared.
+    A point between ``line.adev`` and ``line.upper`` has no deviation. A higher point is compared
+    with ``line.upper``, a lower point with ``line.adev``. A deviation is significant if it exceeds
+    `SIGNIFICANT` error bars of the point on a logarithmic axis. Uncertain points are not compared.
     """
     adev, low, high = curve.adev, curve.ci_low, curve.ci_high
     with np.errstate(divide='ignore', invalid='ignore'):
-        edge = np.clip(adev, line.adev, line.upper)
-        difference = np.log(adev / edge)
+        nearest = np.clip(adev, line.adev, line.upper)
+        difference = np.log(adev / nearest)
         bar = np.where(difference > 0.0, np.log(adev / low), np.log(high / adev))
         is_large = np.abs(difference) > SIGNIFICANT * bar
         is_significant = ~curve.is_uncertain & (adev > 0.0) & is_large
@@ -85,8 +86,8 @@ class Region:
     tau_low, tau_high : float
         Ends of the range in s.
     term : str
-        Term or process with the largest share of the Allan variance; several names, joined by '+',
-        if no single one dominates over a factor of 3 in tau.
+        Term or process with the largest share of the Allan variance. If no term or process
+        dominates over a factor of 3 in tau, several names are joined by '+'.
     """
 
     tau_low: float
@@ -103,11 +104,11 @@ class _Stretch:
 
 
 def dominant_regions(curve: AllanCurve, fit: AxisFit) -> list[Region]:
-    """Return the ranges of averaging times with the dominant term of each.
+    """Return ranges of averaging times, each with its dominant term.
 
     A term or process dominates where it has the largest share of the Allan variance of the model.
-    Adjacent ranges that are narrower than a factor of 3 in tau are merged. A single narrow range
-    gets the two terms with the largest shares.
+    Adjacent ranges that are narrower than a factor of 3 in tau are merged. A narrow range
+    without a narrow neighbor gets the two terms with the largest shares.
 
     The ranges are contiguous, cover the measured curve, and are sorted by tau. The list is empty if
     the model is empty.
@@ -127,18 +128,18 @@ def dominant_regions(curve: AllanCurve, fit: AxisFit) -> list[Region]:
 
 def _stretches(parts: Sequence[str], shares: Floats, edges: Floats) -> list[_Stretch]:
     """Divide a curve into ranges with their dominant terms; narrow ranges are merged."""
-    simple = []
-    for k, same in groupby(range(len(shares)), key=lambda j: int(np.argmax(shares[j]))):
-        points = list(same)
-        simple.append(_Stretch((parts[k],), slice(points[0], points[-1] + 1)))
+    ranges = []
+    for k, indices in groupby(range(len(shares)), key=lambda j: int(np.argmax(shares[j]))):
+        points = list(indices)
+        ranges.append(_Stretch((parts[k],), slice(points[0], points[-1] + 1)))
 
     def is_wide(s: _Stretch) -> bool:
         return bool(edges[s.points.stop] >= MIN_WIDTH * edges[s.points.start])
 
     out: list[_Stretch] = []
-    for wide, group in groupby(simple, key=is_wide):
+    for are_wide, group in groupby(ranges, key=is_wide):
         neighbors = list(group)
-        if wide:
+        if are_wide:
             out += neighbors
             continue
         merged = slice(neighbors[0].points.start, neighbors[-1].points.stop)

@@ -1,19 +1,18 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Whether a recording shows motion and vibration instead of the noise of the sensor.
+"""Detection of recordings that show motion or vibration instead of the noise of the sensor.
 
 A recording is not a noise recording if at least half of its axes are disturbed.
 
 Conditions for a disturbed axis
 -------------------------------
-An axis is disturbed if one of these conditions holds. None of them holds for a sensor at rest
-beside a fan, which adds only a few sinusoids.
+An axis is disturbed if one of these conditions holds. None of the conditions holds for a sensor at
+rest beside a fan, which adds only a few sinusoids.
 
-1. Several broad or slow oscillations, or more than `MOST_LINES` processes of any kind, together
-have
-   more variance than the white noise of a sample.
-2. The white noise is not resolved, or is known much less precisely than white noise of this
-   bandwidth and length would be, because other noise is larger at all frequencies.
+1. Several broad or slow oscillations, or more than `MOST_LINES` oscillations of any kind, together
+   have more variance than the white noise of a sample.
+2. The white noise is not resolved, or is known much less precisely than pure white noise in a
+   recording of this length would be. Other noise is then larger at all frequencies.
 3. The model does not fit in more than a third of the octaves of frequencies.
 """
 
@@ -27,8 +26,8 @@ from ..findings import Finding, finding
 from .result import AxisFit, NoiseModel
 
 MOST_LINES = 3
-"""Largest number of fast processes with a shape that a machine, such as a fan, beside a sensor
-causes."""
+"""Largest number of oscillations in the model of an axis that a machine such as a fan causes beside
+the sensor."""
 
 SLOW_HZ = 3.0
 """Frequency in Hz below which an oscillation counts as motion. Machines and buildings vibrate
@@ -38,8 +37,8 @@ LARGEST_WIDTH, LARGEST_EXCESS = 0.1, 5.0
 """The white noise is obscured if half of the width of the interval of N, relative to N, exceeds
 both `LARGEST_WIDTH` and `LARGEST_EXCESS` times the half width for pure white noise. The ratio of
 the half widths is 1 to 3 in clean recordings, 8 with heavy tails, and 6 to 20 in vehicles, with
-half widths up to 0.4. Gauss-Markov noise of 2 samples has ratios up to 30, but half widths below
-0.1 on nearly all axes."""
+half widths up to 0.4. Gauss-Markov noise with a correlation time of 2 samples causes ratios up to
+30, but half widths below 0.1 on nearly all axes."""
 
 LACK_OF_FIT_SHARE = 1.0 / 3.0
 """Largest share of octaves with a lack of fit for which the model describes an axis."""
@@ -52,22 +51,24 @@ LEAST_S = 20.0
 
 
 def not_noise_findings(models: Sequence[NoiseModel], seconds: float) -> list[Finding]:
-    """Return the finding that the recording is not a noise recording, or an empty list.
+    """Return one finding if the recording is not a noise recording, else an empty list.
 
     Parameters
     ----------
     models : sequence of NoiseModel
-        The fits of all axes of an IMU: one, or one for each sensor if their rates differ.
+        Fits of one IMU: one fit for all axes, or one for each sensor if the sample rates differ.
     seconds : float
         Time at rest in s.
     """
     if seconds < LEAST_S:
         return []
     fits = {name: (fit, m.tau0) for m in models for name, fit in m.axes.items()}
-    disturbed = [name for name, (fit, tau0) in fits.items() if is_disturbed(fit, tau0, seconds)]
-    if not disturbed or len(disturbed) < DISTURBED_SHARE * len(fits):
+    disturbed_axes = [
+        name for name, (fit, tau0) in fits.items() if is_disturbed(fit, tau0, seconds)
+    ]
+    if not disturbed_axes or len(disturbed_axes) < DISTURBED_SHARE * len(fits):
         return []
-    return [finding('not_noise', tuple(disturbed))]
+    return [finding('not_noise', tuple(disturbed_axes))]
 
 
 def is_disturbed(fit: AxisFit, tau0: float, seconds: float) -> bool:
@@ -91,8 +92,8 @@ def is_disturbed(fit: AxisFit, tau0: float, seconds: float) -> bool:
         for p in fit.model.shaped.parts
         if not p.process.is_drift
     ]
-    motion = [s for p, s in shares if not p.is_line or p.numbers['frequency'] < SLOW_HZ]
-    if len(motion) > 1 and sum(motion) > 1.0:
+    of_motion = [s for p, s in shares if not p.is_line or p.numbers['frequency'] < SLOW_HZ]
+    if len(of_motion) > 1 and sum(of_motion) > 1.0:
         return True
     if len(shares) > MOST_LINES and sum(s for _, s in shares) > 1.0:
         return True
@@ -100,10 +101,10 @@ def is_disturbed(fit: AxisFit, tau0: float, seconds: float) -> bool:
 
 
 def _is_obscured(fit: AxisFit, tau0: float, seconds: float) -> bool:
-    """Return whether N is known much less precisely than if all noise was white.
+    """Return whether N is known much less precisely than it would be if all noise was white.
 
-    White noise of the bandwidth B determines N in the time T with a relative standard deviation of
-    1 / sqrt(4 B T). If quantization noise (Q) is resolved, N need not be resolved.
+    Pure white noise with the bandwidth W determines N in the time T with a relative standard error
+    of 1 / sqrt(4 W T). If quantization noise (Q) is resolved, N need not be resolved.
     """
     n = fit.noise['N']
     if not n.resolved:
@@ -118,5 +119,7 @@ def _is_obscured(fit: AxisFit, tau0: float, seconds: float) -> bool:
 
 def _has_lack_of_fit(fit: AxisFit, tau0: float, seconds: float) -> bool:
     octaves = math.log2(max(seconds / (2.0 * tau0), 2.0))
-    missed = sum(math.log2(each.high / each.low) for each in fit.lack_of_fit if each.low > 0.0)
-    return missed > LACK_OF_FIT_SHARE * octaves
+    octaves_with_lack = sum(
+        math.log2(each.high / each.low) for each in fit.lack_of_fit if each.low > 0.0
+    )
+    return octaves_with_lack > LACK_OF_FIT_SHARE * octaves

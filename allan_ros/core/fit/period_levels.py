@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Level of the noise in each period of a recording, and changes and scatter of this level.
 
-The level is the mean power in a band of frequencies, relative to the mean power of all data. Two
-bands are used: for white noise, the highest octaves; for drift, the frequencies at which drift has
-a relevant share of the power.
+The level of white noise is the power of a period in the highest octaves, relative to all data. The
+level of drift is the power at frequencies with a relevant share of drift, relative to the fitted
+model.
 """
 
 from __future__ import annotations
@@ -23,26 +23,25 @@ from .result import AxisFit
 from .statistics import Floats, Statistics
 
 LEVEL_CHANGES = 1e-3
-"""Probability in Bartlett's test below which the level of the white noise of an axis varies.
-Measured false alarms: none in 240 recordings."""
+"""Probability in Bartlett's test, or in a test of two levels, below which levels of the white noise
+of an axis count as different. Measured false alarms: none in 240 recordings."""
 
 TOP_OCTAVES = 3
 """Number of the highest octaves, in which the level of the white noise is measured."""
 
 SINUSOID_RATIO = 1.5
-"""Largest ratio of the power of a bin to the median of the octave; a bin with more power contains a
-sinusoid."""
+"""Largest ratio of the power of a bin to the median power of the bins in this octave. A bin with a
+larger ratio is assumed to contain a sinusoid."""
 
 SPREAD_DOF = 0.3
-"""Degrees of freedom of the estimated scatter between neighboring periods, divided by the number of
-periods."""
+"""Degrees of freedom of the result of `PeriodLevels.spread`, divided by the number of periods."""
 
 MEDIAN_CHI_SQUARED = 0.455
 """Median of chi-squared with one degree of freedom."""
 
 PART = 0.04
-"""Typical length of the shortest part whose level a finding states, relative to the length of all
-data."""
+"""Approximate length of the parts among which a finding states the lowest and the highest level,
+relative to the length of all data. Longer periods are not divided."""
 
 LEAST_SHARE = 0.3
 """Least share of the drift in the power of a bin from which the level of the drift is measured."""
@@ -52,18 +51,18 @@ LARGEST_SETTLING = 0.01
 The share of a settling is not the same in all periods."""
 
 SCATTER = 0.005
-"""Probability in Bartlett's test below which the levels of the parts of a recording vary, for each
-sensor and each number of parts: false alarms of 1.5 % in all. Measured: 2 of 150 sensors for white
-noise, and 1 of 600 for drift."""
+"""Probability in Bartlett's test below which the levels of the parts of a recording are regarded as
+different. Each sensor is tested with each number of parts in `SCALES`, which gives false alarms on
+1.5 % of the sensors. Measured: 2 of 150 sensors for white noise, and 1 of 600 for drift."""
 
 SCALES = (3, 6, 12)
 """Numbers of parts of a recording whose levels are compared."""
 
 LEAST_DOF = 10.0
-"""Fewest degrees of freedom of the level of a part."""
+"""Fewest degrees of freedom of the level of a part of a recording."""
 
 LEAST_PARTS = 3
-"""Fewest parts from which the scatter is computed."""
+"""Fewest parts of a recording from which the scatter of the levels is computed."""
 
 LEAST_CHANGE = 0.2
 """Least relative change of N after which only the last part is fitted."""
@@ -74,16 +73,16 @@ LEAST_LAST_S, LEAST_LAST_PART = 30.0, 0.1
 
 @dataclass(frozen=True, eq=False)
 class PeriodLevels:
-    """Power of a band of frequencies in each period, relative to all data.
+    """Level of white noise or of drift in each period.
 
     Attributes
     ----------
     power : (periods, axes) array
-        Mean power over the expected power; 0 without spectra.
+        Level: mean ratio of the power to the expected power. It is 0 for periods without spectra.
     dof : (periods, axes) array
-        Degrees of freedom of the mean power if the noise is Gaussian.
+        Degrees of freedom of the level if the noise is Gaussian.
     samples : (periods,) array
-        Number of samples.
+        Number of samples of each period.
     share : (axes,) array
         Share of the white noise, or of the drift, in the power of the band.
     """
@@ -94,7 +93,7 @@ class PeriodLevels:
     share: Floats
 
     def mean(self, axis: int, rows: slice = slice(None)) -> float:
-        """Return the mean level of some periods."""
+        """Return the mean level of an axis over the periods ``rows``."""
         weights = np.maximum(self.dof[rows, axis], 1e-9)
         return float(np.average(self.power[rows, axis], weights=weights))
 
@@ -106,101 +105,105 @@ class PeriodLevels:
         return float(self.power[order[at], axis])
 
     def spread(self, axis: int) -> float:
-        """Return the variance between neighboring periods relative to Gaussian noise, at least 1.
+        """Return the variance of the level relative to its variance for Gaussian noise, at least 1.
 
-        The median over all pairs of neighbors is used, on which a few changes of the level have no
-        effect.
+        The variance is the median over all pairs of neighboring periods, on which a few changes of
+        the level have no effect.
         """
-        r, n = self.power[:, axis], self.dof[:, axis]
-        both_known = (n[1:] > 0.0) & (n[:-1] > 0.0) & (r[1:] > 0.0) & (r[:-1] > 0.0)
-        if not both_known.any():
+        power, dof = self.power[:, axis], self.dof[:, axis]
+        is_known_pair = (dof[1:] > 0.0) & (dof[:-1] > 0.0) & (power[1:] > 0.0) & (power[:-1] > 0.0)
+        if not is_known_pair.any():
             return 1.0
-        difference = np.log(r[1:][both_known] / r[:-1][both_known])
-        expected = 2.0 / n[1:][both_known] + 2.0 / n[:-1][both_known]
+        difference = np.log(power[1:][is_known_pair] / power[:-1][is_known_pair])
+        expected = 2.0 / dof[1:][is_known_pair] + 2.0 / dof[:-1][is_known_pair]
         return max(float(np.median(difference**2 / expected)) / MEDIAN_CHI_SQUARED, 1.0)
 
     def varies(self, axis: int, spread: float = 1.0) -> bool:
         """Return whether the levels of the periods differ significantly (Bartlett's test).
 
-        ``spread`` is the variance between neighboring periods relative to Gaussian noise.
+        ``spread`` is the result of `spread`, or 1 for Gaussian noise.
         """
-        r, n = self.power[:, axis], self.dof[:, axis]
-        known = (n > 0.0) & (r > 0.0)
-        if known.sum() < 2:
+        power, dof = self.power[:, axis], self.dof[:, axis]
+        is_known = (dof > 0.0) & (power > 0.0)
+        if is_known.sum() < 2:
             return False
         with np.errstate(divide='ignore', invalid='ignore'):
-            statistic = float(np.sum(n[known] * np.log(self.mean(axis) / r[known])))
-        return _tail(statistic, int(known.sum()) - 1, spread, len(r)) < LEVEL_CHANGES
+            statistic = float(np.sum(dof[is_known] * np.log(self.mean(axis) / power[is_known])))
+        return _tail(statistic, int(is_known.sum()) - 1, spread, len(power)) < LEVEL_CHANGES
 
     def extremes(self, axis: int) -> tuple[float, float]:
         """Return the lowest and the highest N in parts of the data, divided by N of all data."""
-        part = np.floor(np.cumsum(self.samples) / (PART * self.samples.sum()) - 1e-9)
-        rows = (slice(*np.flatnonzero(part == i)[[0, -1]] + [0, 1]) for i in np.unique(part))
+        part_index = np.floor(np.cumsum(self.samples) / (PART * self.samples.sum()) - 1e-9)
+        rows = (
+            slice(*np.flatnonzero(part_index == i)[[0, -1]] + [0, 1]) for i in np.unique(part_index)
+        )
         mean = np.float64(self.mean(axis)) or np.nan
-        r = np.sqrt(np.array([self.mean(axis, each) for each in rows]) / mean)
-        if not np.isfinite(r).all():
+        ratios = np.sqrt(np.array([self.mean(axis, each) for each in rows]) / mean)
+        if not np.isfinite(ratios).all():
             return 1.0, 1.0
-        return float(r.min(initial=1.0)), float(r.max(initial=1.0))
+        return float(ratios.min(initial=1.0)), float(ratios.max(initial=1.0))
 
     def last_change(self, axis: int) -> int | None:
         """Return the index of the first period after the last change of the level, or None.
 
-        N after the change differs from the usual N before by more than `LEAST_CHANGE`.
+        A change is found only if N after it differs from the usual N before it by more than
+        `LEAST_CHANGE`.
         """
-        n, r, spread = self.dof[:, axis], self.power[:, axis], self.spread(axis)
+        dof, power, spread = self.dof[:, axis], self.power[:, axis], self.spread(axis)
         found, begin = None, 0
-        while begin < len(n) - 1:
-            before, power = np.cumsum(n[begin:])[:-1], np.cumsum((n * r)[begin:])[:-1]
-            after = n[begin:].sum() - before
-            total = (n * r)[begin:].sum()
+        while begin < len(dof) - 1:
+            dof_before = np.cumsum(dof[begin:])[:-1]
+            dof_after = dof[begin:].sum() - dof_before
+            sum_before = np.cumsum((dof * power)[begin:])[:-1]
+            total = (dof * power)[begin:].sum()
             with np.errstate(divide='ignore', invalid='ignore'):
-                low, high = power / before, (total - power) / after
-                mean = total / n[begin:].sum()
-                gain = before * np.log(mean / low) + after * np.log(mean / high)
-                large = np.abs(np.log(high / low)) / 2.0 > np.log1p(LEAST_CHANGE)
-            gain = np.where(np.isfinite(gain) & large, gain, 0.0)
+                before, after = sum_before / dof_before, (total - sum_before) / dof_after
+                mean = total / dof[begin:].sum()
+                gain = dof_before * np.log(mean / before) + dof_after * np.log(mean / after)
+                is_large = np.abs(np.log(after / before)) / 2.0 > np.log1p(LEAST_CHANGE)
+            gain = np.where(np.isfinite(gain) & is_large, gain, 0.0)
             at = int(gain.argmax())
-            if not _tail(float(gain[at]), 1, spread, len(n)) * len(n) < LEVEL_CHANGES:
+            if not _tail(float(gain[at]), 1, spread, len(dof)) * len(dof) < LEVEL_CHANGES:
                 break
             found = begin = begin + at + 1
         if not found:
             return None
-        if found + 1 < len(n) and self._is_mixed(axis, found, spread):
+        if found + 1 < len(dof) and self._is_mixed(axis, found, spread):
             found += 1
         return found if self.change(axis, found) > LEAST_CHANGE else None
 
     def joined(self, axis: int, parts: int) -> tuple[Floats, Floats]:
-        """Return mean power and degrees of freedom of an axis in parts of several periods.
+        """Return level and degrees of freedom of an axis for parts that consist of whole periods.
 
-        Both arrays are (n,), where n <= ``parts`` is the number of parts that were found. The parts
-        have nearly the same number of samples, and at least `LEAST_DOF` degrees of freedom each.
+        Both arrays are (n,), where n <= ``parts`` is the number of parts. The parts have nearly the
+        same number of samples, and at least `LEAST_DOF` degrees of freedom each.
         """
-        share = np.cumsum(self.samples) / self.samples.sum()
-        ends, number = [0], 0.0
-        for k, (done, dof) in enumerate(zip(share.tolist(), self.dof[:, axis].tolist())):
-            number += dof
-            if done > len(ends) / parts - 1e-9 and number >= LEAST_DOF:
-                ends.append(k + 1)
-                number = 0.0
-        dof = np.add.reduceat(self.dof[:, axis], ends[:-1]) if len(ends) > 1 else np.zeros(0)
+        share_until_end = np.cumsum(self.samples) / self.samples.sum()
+        bounds, dof_of_part = [0], 0.0
+        for k, (done, dof) in enumerate(zip(share_until_end.tolist(), self.dof[:, axis].tolist())):
+            dof_of_part += dof
+            if done > len(bounds) / parts - 1e-9 and dof_of_part >= LEAST_DOF:
+                bounds.append(k + 1)
+                dof_of_part = 0.0
+        dof = np.add.reduceat(self.dof[:, axis], bounds[:-1]) if len(bounds) > 1 else np.zeros(0)
         total = self.dof[:, axis] * self.power[:, axis]
-        return np.add.reduceat(total, ends[:-1]) / dof if len(ends) > 1 else dof, dof
+        return np.add.reduceat(total, bounds[:-1]) / dof if len(bounds) > 1 else dof, dof
 
     def _is_mixed(self, axis: int, at: int, spread: float) -> bool:
         """Return whether the level of a period differs from the mean level of all later periods."""
-        n, r = self.dof[:, axis], self.power[:, axis]
-        later = n[at + 1 :].sum()
-        if not (n[at] > 0.0 and later > 0.0 and r[at] > 0.0):
+        dof, power = self.dof[:, axis], self.power[:, axis]
+        later_dof = dof[at + 1 :].sum()
+        if not (dof[at] > 0.0 and later_dof > 0.0 and power[at] > 0.0):
             return False
-        difference = math.log(self.mean(axis, slice(at + 1, None)) / r[at])
-        square = difference**2 / (2.0 / n[at] + 2.0 / later)
-        return _tail(square, 1, spread, len(n)) < LEVEL_CHANGES
+        difference = math.log(self.mean(axis, slice(at + 1, None)) / power[at])
+        square = difference**2 / (2.0 / dof[at] + 2.0 / later_dof)
+        return _tail(square, 1, spread, len(dof)) < LEVEL_CHANGES
 
     def change(self, axis: int, at: int) -> float:
-        """Return the relative change of N at the period ``at``, as a number of 0 or above.
+        """Return the relative change of N at the start of the period ``at``; the result is >= 0.
 
-        The usual N before the period is compared with the mean N from the period on. A decrease of
-        N counts like an increase by the same factor.
+        The usual N before this time is compared with the mean N after it. A decrease of N counts
+        like an increase by the same factor.
         """
         before, after = self.usual(axis, at), self.mean(axis, slice(at, None))
         if not (before > 0.0 and after > 0.0):  # the samples before or after are constant
@@ -212,10 +215,10 @@ class PeriodLevels:
 def scatter(levels: PeriodLevels, axes: Sequence[int]) -> float:
     """Return by how much the amplitude of the noise of a sensor may differ in another hour.
 
-    The logarithms of the levels of the parts of a recording are assumed to have a normal scatter in
-    addition to the scatter of Gaussian noise (random effects; R. DerSimonian, N. Laird, Controlled
-    Clinical Trials 7, 1986). The scatter is computed for 3, 6 and 12 parts, and the largest
-    significant value is used.
+    The logarithms of the levels of the parts of a recording are assumed to have a normally
+    distributed scatter in addition to the scatter of Gaussian noise (random effects;
+    R. DerSimonian, N. Laird, Controlled Clinical Trials 7, 1986). The scatter is computed for 3, 6
+    and 12 parts, and the largest significant value is used.
 
     Parameters
     ----------
@@ -234,24 +237,26 @@ def scatter(levels: PeriodLevels, axes: Sequence[int]) -> float:
 
     largest = 0.0
     for parts in SCALES:
-        joined = [(*levels.joined(axis, parts), float(levels.share[axis])) for axis in axes]
-        joined = [each for each in joined if len(each[0]) >= LEAST_PARTS and each[0].min() > 0.0]
-        if not joined:
+        joined_levels = [(*levels.joined(axis, parts), float(levels.share[axis])) for axis in axes]
+        joined_levels = [
+            each for each in joined_levels if len(each[0]) >= LEAST_PARTS and each[0].min() > 0.0
+        ]
+        if not joined_levels:
             continue
-        statistic, number, excess, information = 0.0, 0, 0.0, 0.0
-        for power, dof, share in joined:
-            more = len(dof) - 1
-            correction = 1.0 + (np.sum(1.0 / dof) - 1.0 / dof.sum()) / (3.0 * more)
+        statistic, total_freedom, excess, information = 0.0, 0, 0.0, 0.0
+        for power, dof, share in joined_levels:
+            freedom = len(dof) - 1
+            correction = 1.0 + (np.sum(1.0 / dof) - 1.0 / dof.sum()) / (3.0 * freedom)
             mean = np.average(power, weights=dof)
             statistic += float(np.sum(dof * np.log(mean / power))) / correction
-            number += more
+            total_freedom += freedom
             weight = 1.0 / polygamma(1, dof / 2.0)
             level = np.log(power)
             squares = weight @ (level - np.average(level, weights=weight)) ** 2
-            excess += float(squares) - more
+            excess += float(squares) - freedom
             information += float(weight.sum() - weight @ weight / weight.sum()) * share**2
-        if excess > 0.0 and chdtrc(number, statistic) < SCATTER:
-            quantile = float(stdtrit(number / len(joined), 0.975))
+        if excess > 0.0 and chdtrc(total_freedom, statistic) < SCATTER:
+            quantile = float(stdtrit(total_freedom / len(joined_levels), 0.975))
             largest = max(largest, quantile * math.sqrt(excess / information) / 2.0)
     return largest
 
@@ -272,20 +277,20 @@ def _tail(statistic: float, number: int, spread: float, periods: int) -> float:
 class PeriodSpectra(NamedTuple):
     """Octave spectra of each period of the recordings, and of all periods together."""
 
-    whole: Spectra  # of all periods together
-    power: Floats  # (periods, bins, axes) mean power
+    whole: Spectra  # spectra of all periods together
+    power: Floats  # (periods, bins, axes) mean power of each period
     dof: Floats  # (periods, bins) `Spectra.shared_dof` of each period
     samples: NDArray[np.int64]  # (periods,) number of samples
 
     def levels(self, expected: Floats, share: Floats) -> PeriodLevels:
-        """Return the level of the noise in each period from some bins.
+        """Return the level of white noise or of drift in each period, as a weighted mean of bins.
 
         ``expected``, (bins, axes), is the power with which the power of a period is compared.
         ``share``, (bins, axes), is the share of the white noise, or of the drift, in the power of a
-        bin, with which the bin is weighted.
+        bin, and the weight of the bin.
         """
-        of_bin = self.dof[:, :, None]
-        weight, square = of_bin * share, of_bin * share**2
+        dof = self.dof[:, :, None]
+        weight, square = dof * share, dof * share**2
         total = np.maximum(weight.sum(axis=1), 1e-300)
         ratio = self.power / np.maximum(expected, 1e-300)
         return PeriodLevels(
@@ -311,9 +316,10 @@ def period_spectra(sums: AllanSums) -> PeriodSpectra:
 def white_noise_levels(spectra: PeriodSpectra) -> PeriodLevels:
     """Return the level of the white noise in each period."""
     whole = spectra.whole
-    used = (whole.octave < TOP_OCTAVES) & (whole.dof > 0.0)
-    no_sinusoid = np.zeros_like(whole.power)  # 1 for bins without a sinusoid, else 0
-    for o in np.unique(whole.octave[used]):
+    is_top = (whole.octave < TOP_OCTAVES) & (whole.dof > 0.0)
+    # 1 for bins of the highest octaves without a sinusoid, else 0
+    no_sinusoid = np.zeros_like(whole.power)
+    for o in np.unique(whole.octave[is_top]):
         in_octave = whole.octave == o
         power = whole.power[in_octave]
         no_sinusoid[in_octave] = power <= SINUSOID_RATIO * np.median(power, axis=0)
@@ -325,7 +331,7 @@ def drift_levels(
 ) -> PeriodLevels:
     """Return the level of the drift in each period.
 
-    Drift is all noise, except white noise, whose integral grows with time.
+    Drift is all noise whose integral grows with time, except white noise.
 
     Parameters
     ----------
@@ -348,23 +354,25 @@ def drift_levels(
             total += power
             if part.process.is_drift and not process.is_white:
                 drift += power
-        some = np.flatnonzero((total > 0.0) & (one.settling[:, i] < LARGEST_SETTLING))
-        expected[some, i] = total[some]
-        share[some, i] = drift[some] / total[some]
+        used_bins = np.flatnonzero((total > 0.0) & (one.settling[:, i] < LARGEST_SETTLING))
+        expected[used_bins, i] = total[used_bins]
+        share[used_bins, i] = drift[used_bins] / total[used_bins]
     return spectra.levels(expected, np.where(share > LEAST_SHARE, share, 0.0))
 
 
 def present_part(sums: AllanSums, levels: PeriodLevels) -> tuple[int, tuple[int, ...]] | None:
-    """Return the index of the first period of the present level of the white noise.
+    """Return the first period at the present level of the white noise, and the axes that changed.
 
-    The second result are the indices of the axes whose level has changed. The result is None if
-    there is no change, or if the present level has not lasted long enough.
+    Both results are indices. The result is None if no
+    level has changed, or if the present level has not lasted long enough.
     """
     total = levels.samples.sum()
-    least = max(LEAST_LAST_S / (sums.tau0 or 1.0), LEAST_LAST_PART * total)
-    found = {i: levels.last_change(i) for i in range(len(sums.axes))}
-    found = {i: k for i, k in found.items() if k and levels.samples[k:].sum() >= least}
-    if not found:
+    least_samples = max(LEAST_LAST_S / (sums.tau0 or 1.0), LEAST_LAST_PART * total)
+    last_changes = {i: levels.last_change(i) for i in range(len(sums.axes))}
+    last_changes = {
+        i: k for i, k in last_changes.items() if k and levels.samples[k:].sum() >= least_samples
+    }
+    if not last_changes:
         return None
-    at = max(k for k in found.values() if k)
+    at = max(k for k in last_changes.values() if k)
     return at, tuple(i for i in range(len(sums.axes)) if levels.change(i, at) > LEAST_CHANGE)

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Recommended length of a recording, computed from the terms that are not resolved."""
+"""Recommended length of a recording in which the unresolved terms would be resolved."""
 
 from __future__ import annotations
 
@@ -16,11 +16,12 @@ ADVISED_TERMS = ('N', 'B', 'K')
 """Terms for which a longer recording is recommended. Most state estimators do not use Q and R."""
 
 HORIZON_S = 100.0
-"""Averaging time in s at which the effect of a term is judged: a long time of integration of a
-state estimator without a correction."""
+"""Averaging time in s at which the effect of a term is judged: a long time for a state estimator to
+integrate without a correction."""
 
 NEGLIGIBLE = 0.25
-"""Share of the known Allan variance at `HORIZON_S` below which an unresolved term is negligible."""
+"""Share of the Allan variance of all resolved terms at `HORIZON_S`. An unresolved term below this
+share is negligible."""
 
 SECONDS_FOR_N = 60.0
 """Length in s of a recording that resolves N at any sample rate of an IMU."""
@@ -29,7 +30,8 @@ B_RESOLVED = 8.5
 """Smallest B that is resolved in T seconds, divided by N/sqrt(T), if K is not resolved."""
 
 B_RESOLVED_WITH_K = ((10.0, 2.8), (1e2, 1.3), (1e3, 0.70), (1e4, 0.41))
-"""Pairs of K T/N and the smallest resolved B divided by sqrt(N K), if K is resolved."""
+"""Pairs of numbers for a resolved K: K T/N, and the smallest B that is resolved in T seconds,
+divided by sqrt(N K)."""
 
 K_RESOLVED = 51.0
 """Smallest K that is resolved in T seconds, divided by N/T."""
@@ -41,20 +43,22 @@ LENGTHS_S = (
     *(60.0 * n for n in (1, 2, 5, 10, 20, 30)),
     *(3600.0 * n for n in (1, 1.5, 2, 3, 4, 6, 8, 12, 16, 24)),
 )
-"""Lengths in s that are recommended. A required length is rounded up to one of these; longer
-recordings are not recommended."""
+"""Lengths in s that are recommended, ascending. A required length is rounded up to one of these
+lengths. If it exceeds the last one, no recording is recommended."""
 
 
 def recommended_duration(
     fit: AxisFit, seconds: float, limits: Mapping[str, float] | None = None
 ) -> tuple[float, tuple[str, ...]] | None:
-    """Return the recommended length of a recording, or None if a longer one is not useful.
+    """Return the recommended length of a recording, or None if a longer recording is not useful.
 
-    A longer recording is recommended if N, B or K is not resolved and its upper limit is relevant:
-    if it exceeds the limit of the datasheet or, without a datasheet, would contribute a quarter of
-    the known Allan variance at 100 s. The length is computed from N, and from B and K if they are
-    resolved. The uncertain estimate of the unresolved term is not used, so that the advice is
-    stable during a recording.
+    If N is not resolved, `SECONDS_FOR_N` is recommended. Otherwise, a longer recording is
+    recommended if B or K is not resolved and the upper limit of this term is relevant. An upper
+    limit is relevant if it exceeds the limit of the datasheet. Without a datasheet, it is relevant
+    if the term could contribute a quarter of the Allan variance of the resolved terms at 100 s.
+
+    The length is computed from N, and from B and K if they are resolved. The uncertain estimate of
+    the unresolved term is not used, so that the advice is stable during a recording.
 
     Parameters
     ----------
@@ -80,10 +84,10 @@ def recommended_duration(
         and (target := (limits or {}).get(term) or _negligible(term, fit))
         and (fit.noise[term].upper95 or math.inf) > target
     }
-    worth = {term: t for term, t in needed.items() if seconds < t <= LENGTHS_S[-1]}
-    if not worth:
+    useful = {term: t for term, t in needed.items() if seconds < t <= LENGTHS_S[-1]}
+    if not useful:
         return None
-    return next(t for t in LENGTHS_S if t >= max(worth.values())), tuple(worth)
+    return next(t for t in LENGTHS_S if t >= max(useful.values())), tuple(useful)
 
 
 def longest_recommended(
@@ -94,32 +98,34 @@ def longest_recommended(
     ``advice`` contains the result of `recommended_duration` for each axis. The result is None if no
     axis needs a longer recording.
     """
-    known = [each for each in advice if each is not None]
-    if not known:
+    recommended = [each for each in advice if each is not None]
+    if not recommended:
         return None
-    terms = {term for _, of_axis in known for term in of_axis}
-    return max(t for t, _ in known), tuple(t for t in ADVISED_TERMS if t in terms)
+    terms = {term for _, of_axis in recommended for term in of_axis}
+    return max(t for t, _ in recommended), tuple(t for t in ADVISED_TERMS if t in terms)
 
 
-def _known(term: str, fit: AxisFit) -> float:
+def _resolved_value(term: str, fit: AxisFit) -> float:
+    """Return a coefficient in SI; 0 if the term is not resolved."""
     coefficient = fit.noise[term]
     return coefficient.value or 0.0 if coefficient.status == 'estimated' else 0.0
 
 
 def _negligible(term: str, fit: AxisFit) -> float:
     """Return the coefficient in SI below which a term has no relevant effect at `HORIZON_S`."""
-    n, b, k = (_known(t, fit) for t in ADVISED_TERMS)
+    n, b, k = (_resolved_value(t, fit) for t in ADVISED_TERMS)
     known = n**2 / HORIZON_S + FLICKER_FLOOR * b**2 + k**2 * HORIZON_S / 3.0
     unit = FLICKER_FLOOR if term == 'B' else HORIZON_S / 3.0
     return math.sqrt(NEGLIGIBLE * known / unit)
 
 
 def _seconds_for(term: str, size: float, fit: AxisFit) -> float:
-    """Return the length in s of a recording that resolves a term of a given ``size`` in SI."""
-    n, b, k = (_known(t, fit) for t in ADVISED_TERMS)
+    """Return the length in s of a recording that resolves B or K with the value ``size`` in SI."""
+    n, b, k = (_resolved_value(t, fit) for t in ADVISED_TERMS)
     if term == 'K':
         return max(K_RESOLVED * n / size, (K_RESOLVED_WITH_B * b / size) ** 2)
     if k > 0.0:
-        walk, least = np.log(B_RESOLVED_WITH_K).T
-        return float(np.exp(np.interp(-np.log(size / (n * k) ** 0.5), -least, walk)) * n / k)
+        log_times, log_sizes = np.log(B_RESOLVED_WITH_K).T
+        log_time = np.interp(-np.log(size / (n * k) ** 0.5), -log_sizes, log_times)
+        return float(np.exp(log_time) * n / k)
     return (B_RESOLVED * n / size) ** 2

@@ -70,8 +70,9 @@ class AxisFit:
         Estimates of all five terms in SI.
     model : Model
         The complete fitted model, which is tested, drawn and exported. Terms that are not resolved
-        are included with their estimates. With method 'likelihood', Q is then 0, and R is only the
-        part that the random terms do not explain. Processes with a shape have intervals.
+        are included with their estimates. With method 'likelihood', there are two exceptions: an
+        unresolved Q is 0, and an unresolved R is only the part that the random terms do not
+        explain. Processes with a shape have intervals.
     m_min : int
         Smallest averaging factor that the model describes; above 1 if the samples are low-pass
         filtered.
@@ -101,7 +102,7 @@ class AxisFit:
 
     @property
     def likely(self) -> tuple[str, ...]:
-        """Terms that are not resolved, but likely."""
+        """Terms with the status 'likely' (`estimate.Status`)."""
         return tuple(t for t, c in self.noise.items() if c.status == 'likely')
 
     @property
@@ -119,7 +120,7 @@ def with_scatter(fit: AxisFit, white: float, drift: float) -> AxisFit:
     """Return a fit with the predictive intervals of N, B and K.
 
     ``white`` and ``drift`` are `AxisFit.white_scatter` and `AxisFit.drift_scatter`. Upper limits
-    are multiplied by the same factor.
+    are multiplied by the exponential of the scatter.
     """
     noise = dict(fit.noise)
     for letter, half in (('N', white), ('B', drift), ('K', drift)):
@@ -133,18 +134,18 @@ def _predicted(estimate: Estimate, half: float) -> Estimate:
 
     ``half`` is half of the 95 % interval of the logarithm of the number in another hour.
     """
-    value, ends, limit = estimate.value, estimate.recording_ci95, estimate.upper95
+    value, interval, limit = estimate.value, estimate.recording_ci95, estimate.upper95
     if limit is not None:
         return replace(estimate, upper95=limit * math.exp(half))
-    if not value or ends is None:
+    if not value or interval is None:
         return estimate
-    low = math.hypot(math.log(value / ends[0]), half) if ends[0] > 0.0 else math.inf
-    high = math.hypot(math.log(ends[1] / value), half)
+    low = math.hypot(math.log(value / interval[0]), half) if interval[0] > 0.0 else math.inf
+    high = math.hypot(math.log(interval[1] / value), half)
     return replace(estimate, predictive_ci95=(value * math.exp(-low), value * math.exp(high)))
 
 
 def model_of_terms(noise: Mapping[str, Estimate]) -> Model:
-    """Return the model that contains only the terms, with their estimates."""
+    """Return a model that contains only the five terms, with their estimates."""
     return Model.of(**{t: c.value for t, c in noise.items() if c.value})
 
 

@@ -6,7 +6,8 @@ Method
 ------
 Processes are added one at a time. Every candidate is rated by an approximation of its gain in
 -2 log L: the square of the score divided by the information. The best candidate of each kind is
-fitted, and its shape is improved. It is kept if the gain exceeds the threshold of its kind.
+fitted, and its shape is improved. Of these fits, the selection keeps the one whose gain exceeds the
+threshold of its kind by the largest amount. It ends if no gain exceeds the threshold.
 """
 
 from __future__ import annotations
@@ -27,24 +28,24 @@ from .result import N
 from .statistics import Floats
 
 MAX_PROCESSES = 6
-"""Largest number of processes that are added to the five terms."""
+"""Largest number of processes that are added to the base of a model (`Selection.base`)."""
 
 LEAST_BINS = 8
-"""Least number of bins in the threshold of a search over frequencies, also if there are fewer
-bins."""
+"""The threshold of a search over frequencies increases with the number of bins. It is computed for
+at least this number of bins."""
 
 LEAST_LINE_DOF = 100.0
-"""Degrees of freedom that a bin keeps if a sinusoid dominates it. With fewer, the amplitude would
-be inaccurate. With all of them, the fit would require a strong sinusoid to be as narrow as the
-model."""
+"""Degrees of freedom of a bin in which a sinusoid dominates. With fewer degrees of freedom, the
+amplitude would be inaccurate. With all degrees of freedom of the bin, the fit would require a
+strong sinusoid to be as narrow as in the model."""
 
 LINES_PER_OCTAVE = 3
 """Number of sinusoids within an octave that can imitate any smooth spectrum. None of 2100 simulated
-axes without a filter has as many."""
+axes without a low-pass filter has as many within an octave."""
 
 ALIASED = 0.1
-"""Least effect of the alias of a fast sinusoid that is taken into account: variance of the block
-means, or power of a bin, relative to noise."""
+"""Least effect of the alias of a fast sinusoid that is taken into account: the power of the alias
+in a bin, or the variance of the alias in the block means, relative to the noise."""
 
 STRONG = 0.998
 """Least share of a sinusoid in the power of a bin for which the sinusoid also adds power to distant
@@ -55,16 +56,16 @@ EXCLUDED = 1e-6
 that these bins have no effect."""
 
 TOLERANCE = 0.03
-"""Change of -2 log L in one step below which the fit of a candidate ends."""
+"""Change of -2 log L in one step below which a fit, or the improvement of shapes, ends."""
 
 PROMISING = 0.4
-"""Least approximate gain of a candidate that is fitted, relative to its threshold. This saves time.
-In recordings without processes, the same processes are found without this condition."""
+"""Least approximate gain, relative to the threshold, of a candidate that is fitted. This condition
+saves time. It does not change the false alarms in recordings without processes."""
 
 
 @dataclass(frozen=True, eq=False)
 class Selection:
-    """Selects the processes of the noise model of one axis, from its data and thresholds.
+    """Selects the processes of the noise model of one axis.
 
     Attributes
     ----------
@@ -75,9 +76,9 @@ class Selection:
     signed : tuple of int
         Indices of the coefficients that may be negative: q if the samples are low-pass filtered.
     shortest : float
-        Shortest correlation time of a process in samples.
+        Shortest correlation time of a process without a frequency, in samples.
     fastest : float
-        Highest frequency of a sinusoid in cycles per sample.
+        Highest frequency of a sinusoid or a resonance, in cycles per sample.
     """
 
     data: AxisData
@@ -104,24 +105,24 @@ class Selection:
         return self.data.solve(components, None, p, signed=self.signed, tolerance=TOLERANCE)
 
     def selected(self) -> tuple[Selection, Fit]:
-        """Return the selection with adapted weights, and its fit with all processes it added."""
+        """Return the selection with the weights of `weighed`, and the fit of the selected model."""
         rules, fit = self, self.fit(self.base)
         while len(fit.p) < len(self.base) + MAX_PROCESSES:
-            more = rules._with_one_more(fit)
-            if more is None:
+            larger = rules._with_one_more(fit)
+            if larger is None:
                 break
-            rules, fit = self.weighed(more)
+            rules, fit = self.weighed(larger)
             if self.imitates_filter(fit):
                 return rules, fit
-        fewer = rules.without_superfluous(fit)
-        return (rules, fit) if fewer is fit else self.weighed(fewer)
+        reduced = rules.without_superfluous(fit)
+        return (rules, fit) if reduced is fit else self.weighed(reduced)
 
     def _with_one_more(self, fit: Fit) -> Fit | None:
-        """Return the fit with the best further process, or None if none exceeds its threshold."""
-        low, is_aliased = LowBandFit.all_of(self.data, fit), self._aliased(fit)
-        best, least = None, math.inf
+        """Return the fit with the best further process, or None if no gain exceeds a threshold."""
+        matrices, is_aliased = LowBandFit.all_of(self.data, fit), self._aliased(fit)
+        best, best_value = None, math.inf
         for kind in self.candidates.kinds:
-            gains = kind.gains(self.data, fit, low) * kind.allowed(self.shortest, self.fastest)
+            gains = kind.gains(self.data, fit, matrices) * kind.allowed(self.shortest, self.fastest)
             if is_aliased and kind.first.is_line:
                 gains[kind.slow] = 0.0
             threshold = self.threshold(kind.first)
@@ -131,8 +132,8 @@ class Selection:
             added = kind.processes[int(gains.argmax())]
             new = self.fit((*fit.components, added), np.append(fit.p, seed))
             new = self.refined(new, [len(fit.p)], 3)
-            if new.value + threshold < least:
-                best, least = new, new.value + threshold
+            if new.value + threshold < best_value:
+                best, best_value = new, new.value + threshold
         if best is None:
             return None
         best = self.refined(self._located(best), range(len(self.base), len(best.p)))
@@ -140,10 +141,11 @@ class Selection:
         return best if best.value + self.threshold(best.components[-1]) < fit.value else None
 
     def _located(self, fit: Fit) -> Fit:
-        """Return the fit with the best frequency of the last component, if it is a strong sinusoid.
+        """Return the fit after a search for the frequency of the last component.
 
-        A strong sinusoid also adds power to the bins of the longest blocks of samples. The
-        likelihood then has many maxima within one bin, which are all tried.
+        Only the frequency of a strong sinusoid is searched for. Such a sinusoid also adds power to
+        the bins of the longest blocks of samples, so that the likelihood has many maxima within one
+        bin. All of these maxima are tried.
         """
         last = fit.components[-1]
         share = float(np.max(fit.p[-1] * fit.columns.power[:, -1] / fit.spectrum(), initial=0.0))
@@ -171,15 +173,18 @@ class Selection:
         return self.refined(self.fit(components, fit.p), range(len(self.base), len(fit.p)))
 
     def without_superfluous(self, fit: Fit) -> Fit:
-        """Return the fit without processes that became superfluous when others were added."""
+        """Return the fit without processes that became superfluous when others were added.
+
+        Sinusoids are kept.
+        """
         k = len(self.base)
         while k < len(fit.p):
             process = fit.components[k]
             if not process.is_line:
                 others = (*fit.components[:k], *fit.components[k + 1 :])
-                rest = self.fit(others, np.maximum(np.delete(fit.p, k), 1e-9))
-                if rest.value - fit.value < self.threshold(process):
-                    fit, k = rest, len(self.base)
+                reduced = self.fit(others, np.maximum(np.delete(fit.p, k), 1e-9))
+                if reduced.value - fit.value < self.threshold(process):
+                    fit, k = reduced, len(self.base)
                     continue
             k += 1
         return fit
@@ -187,9 +192,9 @@ class Selection:
     def refined(self, fit: Fit, which: Iterable[int], rounds: int = 8) -> Fit:
         """Return the fit after the shapes of some components were improved.
 
-        The components have the indices ``which``. The direction of a change is a step of Fisher
+        ``which`` are the indices of these components. The direction of a change is a step of Fisher
         scoring for all coefficients and shapes together. The search ends when the likelihood no
-        longer increases, or after some ``rounds``.
+        longer increases, at the latest after ``rounds`` steps.
         """
         which = list(which)
         for _ in range(rounds):
@@ -200,7 +205,7 @@ class Selection:
                 if fit.p[k] > 0.0
                 for parameter in fit.components[k].parameters
             ]
-            full = self.data.solve(
+            full_fit = self.data.solve(
                 fit.components,
                 self.data.columns(fit.components, shapes),
                 np.append(fit.p, np.zeros(len(shapes))),
@@ -208,15 +213,15 @@ class Selection:
                 rounds=1,
                 tolerance=math.inf,
             )
-            if not fit.value - full.value > TOLERANCE:
+            if not fit.value - full_fit.value > TOLERANCE:
                 break
             before = fit.value
             for size in (1.0, 0.3, 0.1):
                 components = list(fit.components)
-                for (k, parameter), slope in zip(shapes, full.p[n:]):
+                for (k, parameter), slope in zip(shapes, full_fit.p[n:]):
                     step = size * slope / fit.p[k]
                     components[k] = self._moved(components[k], parameter, step)
-                p = np.maximum(fit.p + size * (full.p[:n] - fit.p), 1e-6 * fit.p)
+                p = np.maximum(fit.p + size * (full_fit.p[:n] - fit.p), 1e-6 * fit.p)
                 new = self.fit(components, p)
                 if new.value < fit.value:
                     fit = new
@@ -226,7 +231,10 @@ class Selection:
         return fit
 
     def _moved(self, process: Process, parameter: Parameter, step: float) -> Process:
-        """Return a process in which the logarithm of one number of the shape is changed."""
+        """Return a process with one number of its shape multiplied by exp(``step``).
+
+        The step and the number are kept within the limits of a search.
+        """
         low, high = process.bounds(parameter, self.search)
         most = parameter.largest_step
         moved = process.numbers[parameter.name] * math.exp(min(max(step, -most), most))
@@ -235,9 +243,9 @@ class Selection:
     def _aliased(self, fit: Fit) -> bool:
         """Return whether the alias of a fast sinusoid in the block means is comparable to noise.
 
-        In means over M samples, a sinusoid keeps up to 1/(M sin(pi f)) of its amplitude. The
-        frequency of the alias depends on more digits of f than the spectra determine. A slow
-        sinusoid or a bounded random walk therefore cannot be told from the alias.
+        In means over M samples, a sinusoid of the frequency f keeps up to 1/(M sin(pi f)) of its
+        amplitude. The frequency of the alias depends on more digits of f than the spectra
+        determine. A slow sinusoid or a bounded random walk therefore cannot be told from the alias.
         """
         step = self.data.statistics.step
         aliases = (p * c.alias_variance(step) for p, c in zip(fit.p, fit.components))
@@ -250,56 +258,59 @@ class Selection:
         highest frequency of a spectrum that bends. Sinusoids six octaves below the highest
         frequency do not count, because a filter does not bend the spectrum there.
         """
-        lines = (c.shape[0] for c in fit.components if c.is_line)
-        f = np.log2(sorted(each for each in lines if each > self.fastest / 64.0))
+        frequencies = (c.shape[0] for c in fit.components if c.is_line)
+        octaves = np.log2(sorted(each for each in frequencies if each > self.fastest / 64.0))
         others = LINES_PER_OCTAVE - 1
         bends = self.signed or any(c.bends_spectrum for c in fit.components)
         has_broad = bends and any(c.is_broad_near(self.fastest) for c in fit.components)
-        return bool(has_broad or np.any(f[others:] - f[:-others] < 1.0))
+        return bool(has_broad or np.any(octaves[others:] - octaves[:-others] < 1.0))
 
     def bounded(self, fit: Fit) -> Fit:
         """Return the fit in which processes with a shape replace terms, if the data show the shape.
 
-        For example, a random walk is a Gauss-Markov process with an infinite correlation time T. It
-        is replaced by a bounded random walk if the data show that 1/T is above 0.
+        For example, a random walk is a Gauss-Markov process with an infinite correlation time T.
+        The random walk is replaced by a bounded random walk if the data show that 1/T is above 0.
         """
         for term, kind in REPLACEMENTS.items():
             fit = self._replaced(fit, RANDOM_TERMS.index(term()), kind)
         return fit
 
     def _replaced(self, fit: Fit, at: int, kind: type[Process]) -> Fit:
-        """Return the fit with a process instead of the term at an index, if it is better."""
+        """Return the fit with a process of a given kind instead of a term, if this fit is better.
+
+        ``at`` is the index of the term. If no such process is better, ``fit`` is returned.
+        """
         if fit.p[at] <= 0.0 or self._aliased(fit):
             return fit
         best = new = fit
-        least = kind.threshold(max(len(self.data.power), LEAST_BINS))
+        threshold = kind.threshold(max(len(self.data.power), LEAST_BINS))
         for process in kind.grid(self.search):
             components = (*fit.components[:at], process, *fit.components[at + 1 :])
             new = self.fit(components, new.p)
-            if new.value > best.value + least:
+            if new.value > best.value + threshold:
                 break
             best = min(best, new, key=lambda each: each.value)
-        if fit.value - best.value < PROMISING * least:
+        if fit.value - best.value < PROMISING * threshold:
             return fit
         best = self.refined(best, [at])
-        return best if fit.value - best.value > least else fit
+        return best if fit.value - best.value > threshold else fit
 
     def weighed(self, fit: Fit) -> tuple[Selection, Fit]:
-        """Return the selection with less weight of bins that contain sinusoids, and its fit.
+        """Return the selection with less weight of bins that contain sinusoids, and its new fit.
 
-        A real sinusoid is never as narrow as the model, so a bin that it dominates determines
-        little except the amplitude. Bins that may contain the alias of a sinusoid get nearly no
-        weight. The fit has the same components as ``fit``.
+        A real sinusoid is never as narrow as in the model, so that a bin in which a sinusoid
+        dominates determines only the amplitude. Bins that may contain the alias of a sinusoid get
+        nearly no weight. The new fit has the same components as ``fit``.
         """
-        lines = [i for i, c in enumerate(fit.components) if c.is_line]
+        sinusoids = [i for i, c in enumerate(fit.components) if c.is_line]
         columns = [self.data.statistics.column(c, self.data.axis).power for c in fit.components]
-        parts = fit.p[:, None] * np.array(columns)
-        share = np.clip(parts[lines].sum(0) / parts.sum(0), 0.0, 1.0)
-        least = np.minimum(self.data.dof, LEAST_LINE_DOF)
-        dof = np.maximum(self.data.dof * (1.0 - share) ** 2, least)
-        other = np.maximum(parts.sum(0) - parts[lines].sum(0), 1e-300)
-        for i in lines:
+        powers = fit.p[:, None] * np.array(columns)
+        share = np.clip(powers[sinusoids].sum(0) / powers.sum(0), 0.0, 1.0)
+        least_dof = np.minimum(self.data.dof, LEAST_LINE_DOF)
+        dof = np.maximum(self.data.dof * (1.0 - share) ** 2, least_dof)
+        other_power = np.maximum(powers.sum(0) - powers[sinusoids].sum(0), 1e-300)
+        for i in sinusoids:
             alias = fit.p[i] * self.candidates.alias(fit.components[i].shape[0])
-            dof = np.where(alias > ALIASED * other, EXCLUDED * dof, dof)
+            dof = np.where(alias > ALIASED * other_power, EXCLUDED * dof, dof)
         rules = replace(self, data=replace(self.data, dof=dof))
         return rules, rules.fit(fit.components, fit.p)

@@ -29,16 +29,17 @@ TIMES = 2.0 * 0.5 ** np.arange(9)
 """Trial values of the time constant, relative to the length of the segment."""
 
 REFINEMENTS = 4
-"""Number of times that the distance of the logarithms of the trial values is halved near the best
-one."""
+"""Number of refinements of the time constant. Each refinement halves the distance between trial
+values on a logarithmic scale."""
 
 PROMISING_SCORE = 5.0
-"""Least score of a settling for which the noise is fitted again. It is below the least gain,
-because a score uses the noise of a fit without the settling, which is too large if there is a
-settling."""
+"""Least score of a settling, summed over the axes, for which the noise is fitted again. It is below
+`GAIN_SETTLING`, because a score is computed with the noise of a fit without the settling. If there
+is a settling, this noise is too large, and the score is too small."""
 
 LEAST_SEGMENT = 0.3
-"""Shortest first segment, relative to its recording, in which a settling is searched for."""
+"""Least length of the first segment of a recording, relative to the recording, for which a settling
+is searched for in this segment."""
 
 TESTED_RECORDINGS = 4
 """Number of the longest recordings that are tested for a settling."""
@@ -51,14 +52,15 @@ class SensorSettling:
     Attributes
     ----------
     settling : Settling
-        Time constant, and sizes of each axis.
+        Time constant of the sensor, and size of each axis in each recording.
     axes : tuple of int
         Indices of the axes that settle.
     gain : float
         Gain in -2 log L, summed over the axes, in the recording with the largest gain.
     left : float
-        Part of the settling that is left at the end of a recording, relative to the Allan deviation
-        of the noise at the time constant. The value is the largest one of all axes and recordings.
+        Part of the settling that is left at the end of the first segment of a recording, divided by
+        the Allan deviation of the noise at the time constant. It is the largest of these ratios for
+        all axes and recordings.
     """
 
     settling: Settling
@@ -75,7 +77,7 @@ class _Sensor:
     noise: Mapping[int, AxisSegment]
 
     def effects(self, time: float) -> dict[int, FittedEffects]:
-        """Return index of an axis -> fit with a settling; ``time`` is its T in samples."""
+        """Return index of an axis -> fit with a settling; ``time`` is T in samples."""
         decay = self.segment.contrasts_of(_decays([time], self.segment.means))
         return {axis: one.with_effects(decay) for axis, one in self.noise.items()}
 
@@ -91,8 +93,10 @@ class _Sensor:
         means = self.segment.means
         times = (TIMES * (len(means.values) * means.step)).tolist()
         decays = self.segment.contrasts_of(_decays(times, means))
-        none = decays[:, :0]
-        scores = np.sum([one.scores(decays, none, one.fit) for one in self.noise.values()], axis=0)
+        no_effects = decays[:, :0]
+        scores = np.sum(
+            [one.scores(decays, no_effects, one.fit) for one in self.noise.values()], axis=0
+        )
         if scores.max() < PROMISING_SCORE:
             return 0.0, 0.0
         gains = {t: self.gain(t) for t, score in zip(times, scores) if score > 0.4 * scores.max()}
@@ -114,42 +118,44 @@ def settling(sums: AllanSums, known: Statistics, axes: Sequence[int]) -> SensorS
     statistics of the sums, and ``axes`` are the indices of the axes.
     """
     tau0 = sums.tau0 or 1.0
-    order = sorted(range(len(sums.recordings)), key=lambda i: -sums.recordings[i].samples)
+    by_length = sorted(range(len(sums.recordings)), key=lambda i: -sums.recordings[i].samples)
     sensors = {}
-    for i in order[:TESTED_RECORDINGS]:
+    for i in by_length[:TESTED_RECORDINGS]:
         recording = sums.recordings[i]
-        first = recording.means[0] if recording.means else None
-        if first is None or first.samples < LEAST_SEGMENT * recording.samples:
+        first_means = recording.means[0] if recording.means else None
+        if first_means is None or first_means.samples < LEAST_SEGMENT * recording.samples:
             continue
-        segment = Segment.of(known, first, tau0)
+        segment = Segment.of(known, first_means, tau0)
         if segment is not None:
-            every = {a: segment.axis(a) for a in axes}
-            noise = {a: one for a, one in every.items() if one is not None}
+            by_axis = {a: segment.axis(a) for a in axes}
+            noise = {a: one for a, one in by_axis.items() if one is not None}
             if noise:
                 sensors[i] = _Sensor(segment, noise)
-    tried = [one.best_time() for one in sensors.values()]
-    time, gain = max(tried, key=lambda each: each[1], default=(0.0, 0.0))
+    best_times = [one.best_time() for one in sensors.values()]
+    time, gain = max(best_times, key=lambda each: each[1], default=(0.0, 0.0))
     if gain < GAIN_SETTLING:
         return None
     sizes: dict[int, Floats] = {}
     settling_axes: set[int] = set()
-    left = 0.0
+    largest_left = 0.0
     for i, sensor in sensors.items():
         effects = sensor.effects(time)
         if sum(max(one.gain, 0.0) for one in effects.values()) < GAIN_SETTLING:
             continue  # this recording does not settle
         recording, segment = sums.recordings[i], sensor.segment
-        before = elapsed(recording, segment.means, tau0)
+        elapsed_samples = elapsed(recording, segment.means, tau0)
         size = np.zeros(len(sums.axes))
         for axis, one in effects.items():
             if max(one.gain, 0.0) < GAIN_SETTLING / len(effects) / 2.0:
                 continue
-            size[axis] = float(one.sizes[0]) * math.exp(min(before / time, 50.0))
+            size[axis] = float(one.sizes[0]) * math.exp(min(elapsed_samples / time, 50.0))
             settling_axes.add(axis)
-            rest = abs(float(one.sizes[0])) * math.exp(-segment.means.samples / time)
-            left = max(left, rest / sensor.noise[axis].deviation(one.fit, time))
+            remaining = abs(float(one.sizes[0])) * math.exp(-segment.means.samples / time)
+            largest_left = max(
+                largest_left, remaining / sensor.noise[axis].deviation(one.fit, time)
+            )
         sizes[i] = size
-    return SensorSettling(Settling(time, sizes), tuple(sorted(settling_axes)), gain, left)
+    return SensorSettling(Settling(time, sizes), tuple(sorted(settling_axes)), gain, largest_left)
 
 
 def _decays(times: Sequence[float], means: BlockMeans) -> Floats:

@@ -44,7 +44,8 @@ searched for."""
 
 LEVEL_RATIO, LARGE_RATIO = 1.02, 1.1
 """Least ratio of the highest to the lowest N of the periods that is reported. The second value is
-used if impulsive noise alone may cause the scatter of N."""
+used if the scatter between neighboring periods, such as from impulsive noise, may explain the
+ratio."""
 
 
 def fit_stationary(
@@ -83,24 +84,26 @@ def fit_stationary(
         spectra = period_spectra(data)
     known = statistics(data)
     of_axis = [known] * len(data.axes)
-    settles = []
+    settlings = []
     for indices in axes_of_sensors(data.axes).values():
         one = settling(data, known, indices)
         if one is not None:
-            settles.append(one)
-            rest = statistics(data, one.settling)
-            of_axis = [rest if i in indices else each for i, each in enumerate(of_axis)]
+            settlings.append(one)
+            settled = statistics(data, one.settling)
+            of_axis = [settled if i in indices else each for i, each in enumerate(of_axis)]
     model = fit_likelihood(data, of_axis)
-    found = settling_findings(data, settles)
+    found = settling_findings(data, settlings)
     if present is not None:
-        at, changed = present
-        since = data.samples * sums.tau0
-        found += [_level_finding(model, sums.axes[i], levels, i, at, since) for i in changed]
+        at, changed_axes = present
+        seconds_since = data.samples * sums.tau0
+        found += [
+            _level_finding(model, sums.axes[i], levels, i, at, seconds_since) for i in changed_axes
+        ]
         levels = white_noise_levels(spectra)
-    # white noise that increases for some time, or a settling, would look like steps
+    # a settling, or white noise that increases for some time, would look like steps of the bias
     ratios = (np.divide(*levels.extremes(i)) for i in range(len(sums.axes)))
     not_tested = {i for i, ratio in enumerate(ratios) if ratio < 1.0 / SHAKY_RATIO}
-    not_tested |= {a for one in settles for a in one.axes}
+    not_tested |= {a for one in settlings for a in one.axes}
     found += step_findings(data, known, not_tested)
     found = [*level_findings(data, levels, model), *found, *model.findings]
     return data, replace(_with_scatter(spectra, of_axis, levels, model), findings=tuple(found))
@@ -108,15 +111,18 @@ def fit_stationary(
 
 def _from_period(sums: AllanSums, at: int) -> AllanSums:
     """Return the sums without the first ``at`` periods, counted over all recordings."""
-    first = []
+    first_kept = []
     for recording in sums.recordings:
-        first.append(min(at, len(recording.periods)))
-        at -= first[-1]
-    return _parts(sums, first)
+        first_kept.append(min(at, len(recording.periods)))
+        at -= first_kept[-1]
+    return _parts(sums, first_kept)
 
 
 def _parts(sums: AllanSums, first: Sequence[int]) -> AllanSums:
-    """Return the sums over the periods of each recording from the index ``first`` on."""
+    """Return the sums without the first periods of each recording.
+
+    ``first`` has the index of the first period that is kept, for each recording.
+    """
     if not any(first):
         return sums
     parts = [
@@ -144,8 +150,8 @@ def settling_findings(sums: AllanSums, found: Sequence[SensorSettling]) -> list[
         time = one.settling.time * tau0
         if one.left > MOST_LEFT:
             longer = time * math.log(one.left / MOST_LEFT)
-            long = max(r.samples for r in sums.recordings) * tau0 + longer
-            out.append(finding('not_settled', axes, size=size, time=time, how_long=long))
+            needed = max(r.samples for r in sums.recordings) * tau0 + longer
+            out.append(finding('not_settled', axes, size=size, time=time, how_long=needed))
         else:
             out.append(finding('settling', axes, size=size, time=time))
     return out
@@ -181,15 +187,15 @@ def _with_scatter(
 
 def level_findings(sums: AllanSums, levels: PeriodLevels, model: NoiseModel) -> list[Finding]:
     """Return a finding for each axis whose white noise varies between the periods."""
-    which = 'between recordings' if len(sums.recordings) > 1 else 'within the recording'
+    place = 'between recordings' if len(sums.recordings) > 1 else 'within the recording'
     found = []
     for i, axis in enumerate(sums.axes):
         low, high = levels.extremes(i)
         n = model.axes[axis].noise['N']
         if not levels.varies(i) or not n.resolved or not n.value:
             continue
-        least = LEVEL_RATIO if levels.varies(i, levels.spread(i)) else LARGE_RATIO
-        if high > least * low:
+        least_ratio = LEVEL_RATIO if levels.varies(i, levels.spread(i)) else LARGE_RATIO
+        if high > least_ratio * low:
             numbers = {'low': n.value * low, 'high': n.value * high, 'value': n.value}
-            found.append(finding('level_changes', (axis,), which=which, **numbers))
+            found.append(finding('level_changes', (axis,), which=place, **numbers))
     return found

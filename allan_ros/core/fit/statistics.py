@@ -5,8 +5,8 @@
 Frequency bands
 ---------------
 Above the crossover frequency, the statistics are the octave spectra (averaged periodograms). Their
-expectation is a linear function of gamma(M, j), which includes the leakage of the taper and the
-aliases of the decimation.
+expectation is a linear function of gamma(M, j) (`Process.gamma`). This function includes the
+leakage of the taper and the aliases of the decimation.
 
 Below the crossover frequency, the statistics are contrasts: sums of the block means of a segment,
 weighted with cosines that are orthogonal to a constant and to a line. Their covariance is a linear
@@ -40,17 +40,17 @@ Ints = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class LowPassCurvature(Process):
-    """Second term, in f^4, of the spectrum of a low-pass filter; the first term is quantization.
+    """Term in f^4 of the spectrum of a low-pass filter; the term in f^2 is quantization noise.
 
-    It has no effect on block means, and exists only within a fit.
+    This process has no effect on block means, and exists only within a fit.
     """
 
 
 class Size(NamedTuple):
-    """Size of the contrasts of a group of segments."""
+    """Numbers that determine the contrasts of a group of segments."""
 
-    points: int  # number of block means of a segment
-    high: int  # number of cosines
+    points: int  # number of block means of each segment
+    high: int  # number of cosines with which the block means are weighted
     # time constant, in block means, of a settling to which the contrasts are orthogonal; 0 for none
     decay: float = 0.0
 
@@ -73,8 +73,8 @@ SETTLED = 5.0
 """Time, in time constants, after which a settling has ended: 0.7 % of its size is left."""
 
 LARGEST_SHARE = 0.99
-"""Largest share of the power of a bin that is subtracted for a settling. The weight of a bin
-decreases with this share."""
+"""Largest share of the power of a bin that is regarded as the power of a settling. The larger this
+share is, the less weight the bin has in the fit."""
 
 EQUAL_LENGTHS = 8
 """Largest number of different segment lengths for which whole segments are used. If there are more
@@ -109,8 +109,8 @@ def expected_power(process: Process, octaves: int) -> Floats:
 
 def _power_of(gamma: Gamma, octaves: int) -> Floats:
     """Return the expected power, (bins,), of noise with the autocovariance ``gamma``."""
-    means = max(octaves - SAMPLE_OCTAVES, 0)
-    step = 1 << np.arange(means + 1)
+    octaves_of_means = max(octaves - SAMPLE_OCTAVES, 0)
+    step = 1 << np.arange(octaves_of_means + 1)
     values = gamma(step[:, None], np.arange(LONGEST_BLOCK))
     of_samples, of_means = _kernels()
     power = np.append(of_samples @ values[0], values[1:] @ of_means.T)
@@ -119,27 +119,27 @@ def _power_of(gamma: Gamma, octaves: int) -> Floats:
 
 @lru_cache(maxsize=64)
 def contrasts(size: Size) -> Floats:
-    """Return weights of block means: a line, and cosines of 1 to ``high`` half periods.
+    """Return the weights of block means in each contrast, (points, 1 + high).
 
-    The columns, (points, 1 + high), are orthonormal. They are orthogonal to a constant and, if
-    there is a settling, to the settling.
+    The columns are a line in time, and cosines of 1 to ``high`` half periods. They are made
+    orthonormal, and orthogonal to a constant and to the settling, if there is one.
     """
     points, high, decay = size
     t = np.arange(points)
-    known = [np.ones(points)]
+    excluded = [np.ones(points)]
     if decay:
-        known.append(np.exp(-t / decay))
+        excluded.append(np.exp(-t / decay))
     cosines = np.cos(np.pi * np.outer(t + 0.5, np.arange(1, high + 1)) / points)
-    q, _ = np.linalg.qr(np.column_stack([*known, t - t.mean(), cosines]))
-    return np.asarray(q[:, len(known) :])
+    q, _ = np.linalg.qr(np.column_stack([*excluded, t - t.mean(), cosines]))
+    return np.asarray(q[:, len(excluded) :])
 
 
 @lru_cache(maxsize=24)  # a recording has at most 8 groups of segments, or 18 groups of pieces
 def _transformed(size: Size) -> Floats:
-    """Return the Fourier transform of the contrasts, real and imaginary parts, (rows, contrasts).
+    """Return the Fourier transform of the contrasts, (rows, contrasts): real, then imaginary parts.
 
-    The covariance of the contrasts is the sum over the rows of the product of two columns, weighted
-    with the eigenvalues of a circulant matrix of twice as many points.
+    The covariance of two contrasts is the sum over the rows of the product of two columns, weighted
+    with the eigenvalues of a circulant matrix. The matrix is for twice as many block means.
     """
     f = np.fft.rfft(contrasts(size), 2 * size.points, axis=0) / math.sqrt(size.points)
     f[[0, -1]] *= math.sqrt(0.5)
@@ -177,7 +177,8 @@ class Column(NamedTuple):
     """Expectation of the statistics for a process with the coefficient 1."""
 
     power: Floats  # (bins,) expected power
-    # covariance of the contrasts of each group, (contrasts, contrasts); the line is the first one
+    # covariance of the contrasts of each group, (contrasts, contrasts); the first contrast is a
+    # line in time
     low: list[Floats]
 
 
@@ -188,16 +189,16 @@ class Statistics:
     Attributes
     ----------
     samples, longest : int
-        Number of samples of all segments, and of the longest one.
+        Number of samples of all segments, and of the longest segment.
     octave, f : (bins,) arrays
-        Octave of each bin, and its frequency in cycles per sample.
+        Octave of each bin, and frequency of each bin in cycles per sample.
     power : (bins, axes) array
         Mean power of the blocks in the squared unit of the samples (two-sided density).
     settling : (bins, axes) array
         Share of the power that is due to a settling of the bias.
     dof, dof_alone : (bins,) arrays
-        Degrees of freedom of a bin in a sum over many bins, which are correlated, and of one bin
-        alone.
+        Degrees of freedom of a bin: as part of a sum over many bins, which are correlated, and of
+        the bin alone.
     correlation : float
         Sum of the squared correlations of the power of a bin with all bins of its block.
     step : int
@@ -240,40 +241,46 @@ class Statistics:
     def white(self) -> list[Column]:
         """Expectation for unit white noise for each axis, with the effect of replaced samples.
 
-        Spectral blocks of which more than `MAX_INTERPOLATED` is replaced are excluded from the
-        sums. Of a longer stretch, only the ends are in blocks: on average, half a block of samples.
+        A spectral block is excluded from the sums if a share of more than `MAX_INTERPOLATED` is
+        replaced. If a stretch is longer than this share of a block, only its two ends are in blocks
+        that are not excluded. The ends have half a block of samples on average.
         """
         power = self.power_of(White())
         low = _low_covariances(White(), self.step, self.sizes)
         sizes = np.array([octave(o).length for o in range(self.octaves)])
         length = self.replaced[:, 0]
-        whole = length[:, None] <= MAX_INTERPOLATED * sizes  # (stretches, octaves)
-        first = np.argmax(np.column_stack([whole, np.ones(len(length), bool)]), axis=1)
+        is_short = length[:, None] <= MAX_INTERPOLATED * sizes  # (stretches, octaves)
+        first_octave = np.argmax(np.column_stack([is_short, np.ones(len(length), bool)]), axis=1)
         out = []
-        for number in self.replaced[:, 2:].T / max(self.samples, 1):
-            if not number.any():
+        for stretches_per_sample in self.replaced[:, 2:].T / max(self.samples, 1):
+            if not stretches_per_sample.any():
                 out.append(Column(power, low))
                 continue
-            ends = number @ np.where(whole, 0.0, sizes / 2.0)
-            excluded = number @ np.where(whole, 0.0, length[:, None] - sizes / 2.0)
-            own = power * (1.0 - ends / (1.0 - excluded))[self.octave]
-            for o in np.unique(first).tolist():
-                gamma = replaced_excess(self.replaced, np.where(first == o, number, 0.0))
-                own = own + np.where(self.octave >= o, _power_of(gamma, self.octaves), 0.0)
-            gamma = replaced_excess(self.replaced, number)
-            more = _covariances_of(gamma, self.step, self.sizes)
-            out.append(Column(own, [a + b for a, b in zip(low, more)]))
+            share_of_ends = stretches_per_sample @ np.where(is_short, 0.0, sizes / 2.0)
+            excluded_share = stretches_per_sample @ np.where(
+                is_short, 0.0, length[:, None] - sizes / 2.0
+            )
+            of_axis = power * (1.0 - share_of_ends / (1.0 - excluded_share))[self.octave]
+            for o in np.unique(first_octave).tolist():
+                gamma = replaced_excess(
+                    self.replaced, np.where(first_octave == o, stretches_per_sample, 0.0)
+                )
+                excess = np.where(self.octave >= o, _power_of(gamma, self.octaves), 0.0)
+                of_axis = of_axis + excess
+            gamma = replaced_excess(self.replaced, stretches_per_sample)
+            low_excess = _covariances_of(gamma, self.step, self.sizes)
+            out.append(Column(of_axis, [a + b for a, b in zip(low, low_excess)]))
         return out
 
     def dof_of(self, axis: int) -> Floats:
         """Return the degrees of freedom of the bins of an axis, (bins,)."""
-        noise = 1.0 - self.settling[:, axis]
-        return np.asarray(self.dof * noise**2)
+        share_of_noise = 1.0 - self.settling[:, axis]
+        return np.asarray(self.dof * share_of_noise**2)
 
     def power_of(self, process: Process) -> Floats:
         """Return the expected power, (bins,), of a process with the coefficient 1.
 
-        No sample is interpolated.
+        The power is for a recording without interpolated samples.
         """
         return expected_power(process, self.octaves)
 
@@ -286,8 +293,9 @@ class Statistics:
             return self.white[axis]
         aliases = process.alias_variance(self.step)
         if aliases:
-            # The frequency of an alias in the block means depends on more digits than are known.
-            # The alias is replaced by white noise with the mean power of all possible aliases.
+            # The frequency of an alias in the block means depends on more digits of the frequency
+            # of the sinusoid than are known. Instead of the alias, the expectation contains white
+            # noise with the mean power of all possible aliases.
             mean = 0.5 * self.step * aliases
             low = [mean * each for each in self.white[axis].low]
         else:
@@ -324,10 +332,11 @@ class Settling:
 
 
 def statistics(sums: AllanSums, settling: Settling | None = None) -> Statistics:
-    """Return the statistics of Allan sums, without the effect of a settling.
+    """Return the statistics of Allan sums; a settling has no effect on a fit of these statistics.
 
-    The contrasts of the block means are orthogonal to the exponential of the settling, so that its
-    size has no effect. The share of the settling in the power of the octave spectra is computed.
+    The contrasts of the block means are orthogonal to the exponential of the settling, so that the
+    size of the settling has no effect. The share of the settling in the power of the octave spectra
+    is computed, and a fit subtracts it.
     """
     spectra = pooled_spectra(sums)
     longest = max((m.samples for r in sums.recordings for m in r.means), default=0)
@@ -336,23 +345,23 @@ def statistics(sums: AllanSums, settling: Settling | None = None) -> Statistics:
         if number < 1 or (o and LOWEST_BLOCKS * octave(o).length > longest):
             break
         octaves = o + 1
-    used = spectra.octave < octaves
-    power, share = spectra.power[used], np.zeros_like(spectra.power[used])
+    is_used = spectra.octave < octaves
+    power, settling_share = spectra.power[is_used], np.zeros_like(spectra.power[is_used])
     if settling is not None:
-        number = np.maximum(spectra.blocks[spectra.octave[used]], 1)[:, None]
+        number = np.maximum(spectra.blocks[spectra.octave[is_used]], 1)[:, None]
         total = settling_power(sums, settling, octaves) / number
-        share = np.clip(total / np.maximum(power, 1e-300), 0.0, LARGEST_SHARE)
+        settling_share = np.clip(total / np.maximum(power, 1e-300), 0.0, LARGEST_SHARE)
     step, groups = _groups(sums, lower_edge(octaves), settling)
     return Statistics(
         sums.samples,
         longest,
-        spectra.octave[used],
-        spectra.f[used],
+        spectra.octave[is_used],
+        spectra.f[is_used],
         power,
-        share,
-        spectra.shared_dof[used],
-        spectra.dof[used],
-        float(spectra.clump[used][-1]) if octaves else 1.0,
+        settling_share,
+        spectra.shared_dof[is_used],
+        spectra.dof[is_used],
+        float(spectra.clump[is_used][-1]) if octaves else 1.0,
         step,
         groups,
         sums.replaced,
@@ -364,12 +373,12 @@ def decay_of_means(time: float, step: int, number: int) -> Floats:
 
     ``time`` is T in samples.
     """
-    first = math.expm1(-step / time) / math.expm1(-1.0 / time) / step
-    return np.asarray(first * np.exp(-step / time * np.arange(number)))
+    first_mean = math.expm1(-step / time) / math.expm1(-1.0 / time) / step
+    return np.asarray(first_mean * np.exp(-step / time * np.arange(number)))
 
 
 def settling_power(sums: AllanSums, settling: Settling, octaves: int) -> Floats:
-    """Return the power of a settling, summed over the spectral blocks, (bins, axes).
+    """Return the power of a settling, (bins, axes), summed over all spectral blocks.
 
     The power is in the squared unit of the samples.
     """
@@ -387,8 +396,8 @@ def settling_power(sums: AllanSums, settling: Settling, octaves: int) -> Floats:
         total = np.zeros(len(sums.axes))
         for start, samples in segments:
             blocks = max(samples // hop - 1, 0)
-            later = 2.0 * hop / settling.time
-            total += start**2 * math.expm1(-later * blocks) / math.expm1(-later)
+            exponent = -2.0 * hop / settling.time  # of the ratio of the power of successive blocks
+            total += start**2 * math.expm1(exponent * blocks) / math.expm1(exponent)
         power.append(of_block[:, None] * total)
     return np.concatenate(power)
 
@@ -398,28 +407,32 @@ def _groups(
 ) -> tuple[int, tuple[Group, ...]]:
     """Return the samples per block mean, and the contrasts in groups of segments of equal size.
 
-    The block means of all segments are first averaged to the longest step of a segment. A segment
-    contains a settling if it begins within `SETTLED` time constants after the start of its
-    recording. ``edge`` is the crossover frequency in cycles per sample.
+    The block means of all segments are first averaged over the longest step of any segment. A
+    segment contains a settling if the segment begins within `SETTLED` time constants after the
+    start of its recording. ``edge`` is the crossover frequency in cycles per sample.
     """
     means = [(r, m) for r in sums.recordings for m in r.means]
     step = max((m.step for _, m in means), default=1)
     segments = [(r, m, _coarser(m.values.T, step // m.step)) for r, m in means]
-    exact = len({y.shape[1] for *_, y in segments}) <= EQUAL_LENGTHS
+    are_whole = len({y.shape[1] for *_, y in segments}) <= EQUAL_LENGTHS
     decay = settling.time / step if settling is not None else 0.0
     pieces: dict[tuple[int, float], list[Floats]] = {}
     for recording, m, y in segments:
-        at = 0
-        begin = elapsed(recording, m, sums.tau0 or 1.0) / step
-        for points in [y.shape[1]] if exact else _lengths(y.shape[1]):
+        offset = 0
+        start = elapsed(recording, m, sums.tau0 or 1.0) / step
+        for points in [y.shape[1]] if are_whole else _lengths(y.shape[1]):
             if points >= LEAST_POINTS:
-                settles = begin + at < SETTLED * decay
-                pieces.setdefault((points, settles * decay), []).append(y[:, at : at + points])
-            at += points
+                has_settling = start + offset < SETTLED * decay
+                pieces.setdefault((points, has_settling * decay), []).append(
+                    y[:, offset : offset + points]
+                )
+            offset += points
     groups = []
-    for (points, decays), each in sorted(pieces.items()):
-        most = points - 2 - bool(decays)
-        size = Size(points, min(int(2.0 * points * step * edge), most, MOST_CONTRASTS), decays)
+    for (points, piece_decay), each in sorted(pieces.items()):
+        most_cosines = points - 2 - bool(piece_decay)
+        size = Size(
+            points, min(int(2.0 * points * step * edge), most_cosines, MOST_CONTRASTS), piece_decay
+        )
         if size.high >= 2:
             z = np.stack(each) @ contrasts(size)
             gram = np.einsum('sai,saj->aij', z, z)
@@ -433,13 +446,13 @@ def elapsed(recording: RecordedPeriods, means: BlockMeans, tau0: float) -> float
 
 
 def _coarser(y: Floats, factor: int) -> Floats:
-    """Return the means of each ``factor`` neighboring columns."""
+    """Return the means over groups of ``factor`` neighboring columns of y, (axes, points)."""
     points = y.shape[1] // factor
     return np.asarray(y[:, : points * factor].reshape(len(y), points, factor).mean(axis=2))
 
 
 def _lengths(points: int) -> list[int]:
-    """Divide ``points`` into as few pieces as possible, of 4, 6, 8, 12, 16, 24 ... points."""
+    """Divide ``points`` into as few pieces as possible; return their lengths of 4, 6, 8, 12 ..."""
     out, sizes = [], sorted((s << k for k in range(9) for s in (4, 6)), reverse=True)
     for size in sizes:
         while points >= size:

@@ -4,9 +4,9 @@
 
 Model
 -----
-The block means of the Allan sums are a constant and a line in time for each recording, the effects
-of the temperature T, and noise. The effects are b1 (T - T0), b2 (T - T0)^2 and hysteresis (dT/dt) /
-(2 r) with r = mean |dT/dt|. `docs/method.md` derives the fit, and the lag of the bias.
+The block means of the Allan sums are modeled as a sum: a constant and a line in time for each
+recording, the effects of the temperature T, and noise. The effects are b1 (T - T0), b2 (T - T0)^2
+and hysteresis (dT/dt) / (2 r) with r = mean |dT/dt|. `docs/method.md` derives the fit.
 """
 
 from __future__ import annotations
@@ -35,11 +35,11 @@ TEMPERATURE_RESOLVED = 0.01
 """Probability of the F test of b1 and b2 below which a bias depends on temperature, per axis."""
 
 LEAST_RANGE_K = 3.0
-"""Range of the temperature within a recording in K below which no model is fitted."""
+"""Least range of the temperature within a recording, in K, for which a model is fitted."""
 
 LEAST_RETURN = 1.0 / 3.0
-"""Part of this range by which the temperature must rise and also fall, so that its effect can be
-separated from a drift with time."""
+"""Share of the temperature range by which the temperature must rise and also fall. Otherwise, the
+effect of the temperature cannot be separated from a drift with time."""
 
 MOST_MEANS, LEAST_MEANS = 256, 32
 """Largest and smallest number of block means of a fit."""
@@ -48,18 +48,19 @@ RATE_BLOCKS = 8
 """Number of block means over which the rate of change of the temperature is averaged."""
 
 LONGEST_PAUSE_S = 120.0
-"""Longest time in s without a temperature reading that is interpolated, if blocks are shorter."""
+"""Longest time in s between two temperature readings over which the temperature is interpolated. If
+two blocks are longer than this, the limit is two blocks."""
 
 SLOW = 2.0
-"""Blocks per correlation time, or per half period, from which a process may be an effect of the
-temperature and is omitted; the coefficients of faster ones are held."""
+"""Least correlation time, or half period, in blocks, of a process that may be an effect of the
+temperature, and is therefore omitted. Faster processes have known coefficients."""
 
 NOISE: tuple[Process, ...] = (White(), Flicker(), RandomWalk())
-"""Terms of the noise of the block means; they are the first processes of a fit."""
+"""Terms in the noise of the block means. They are the first processes of a fit in this module."""
 
 KNOWN_DOF = 1e4
-"""Degrees of freedom of a coefficient that is known from the fit of all data: its error is 0.7 %,
-far below the errors of the other coefficients."""
+"""Degrees of freedom of a coefficient that is known from the fit of all data. The error of such a
+coefficient is 0.7 %, far below the errors of the other coefficients."""
 
 
 @dataclass(frozen=True)
@@ -122,7 +123,7 @@ class TemperatureModel:
 
     @property
     def lag(self) -> float | None:
-        """Time in s by which the bias follows the thermometer; None if b1 may be 0."""
+        """Time in s by which the bias lags behind the thermometer; None if b1 may be 0."""
         if self.b1_ci95[0] <= 0.0 <= self.b1_ci95[1]:
             return None
         return -self.hysteresis / (2.0 * self.b1 * self.rate)
@@ -137,32 +138,33 @@ class _Blocks(NamedTuple):
     """Means of blocks of equal length from all segments, with their temperature."""
 
     step: int  # samples per block
-    recording: Ints  # (n,)
-    time: Floats  # middle of the block in blocks, (n,)
-    celsius: Floats  # mean temperature, (n,)
-    spread: Floats  # variance of the temperature within the block, (n,)
-    values: Floats  # SI, (n, axes)
+    recording: Ints  # index of the recording of each block, (n,)
+    # time from the start of the first segment to the middle of each block, in blocks, (n,)
+    time: Floats
+    celsius: Floats  # mean temperature of each block in degC, (n,)
+    spread: Floats  # variance of the temperature within each block in K^2, (n,)
+    values: Floats  # means of the samples in SI, (n, axes)
 
     @property
     def reference(self) -> float:
-        """The temperature T0 of the models: the mean, rounded to whole degC."""
+        """The temperature T0 of the models: the mean temperature, rounded to whole degC."""
         return float(self.celsius.mean().round())
 
     @property
     def parts(self) -> list[Ints]:
-        """The blocks of each recording."""
+        """Indices of the blocks of each recording."""
         return [np.flatnonzero(self.recording == r) for r in np.unique(self.recording)]
 
     @property
     def rate(self) -> Floats:
-        """Rate of change of the temperature in K per block, (n,): slope over `RATE_BLOCKS`."""
+        """Slope of the temperature over `RATE_BLOCKS` blocks, in K per block, (n,)."""
         out = np.zeros(len(self.time))
         for part in self.parts:
             time, celsius = self.time[part], self.celsius[part]
             for i, at in enumerate(part.tolist()):
-                near = np.abs(time - time[i]) <= RATE_BLOCKS / 2.0
-                t = time[near] - time[near].mean()
-                out[at] = float(t @ celsius[near]) / max(float(t @ t), 1e-300)
+                is_near = np.abs(time - time[i]) <= RATE_BLOCKS / 2.0
+                t = time[is_near] - time[is_near].mean()
+                out[at] = float(t @ celsius[is_near]) / max(float(t @ t), 1e-300)
         return out
 
 
@@ -171,15 +173,16 @@ def temperature_models(
 ) -> tuple[dict[str, TemperatureModel], list[Finding]]:
     """Return axis -> model of its bias over temperature, and findings.
 
-    There are no models if the temperature varies too little, or in one direction only; a finding
-    states the second.
+    There are no models if the temperature varies too little, or in one direction only. If it varies
+    in one direction only, a finding states this.
 
     Parameters
     ----------
     sums : AllanSums
         Sums with block means.
     time_ns, celsius : (readings,) arrays
-        Times of the temperature readings on the clock of the sums, ascending, and degC.
+        Times of the temperature readings in ns on the clock of the sums, ascending, and the
+        temperatures in degC.
     model : NoiseModel
         Fit of the same axes, from which white noise and fast processes are taken.
     """
@@ -189,14 +192,14 @@ def temperature_models(
     range_k = max(float(np.ptp(blocks.celsius[part])) for part in blocks.parts)
     if range_k < LEAST_RANGE_K:
         return {}, []
-    least = LEAST_RETURN * range_k
-    if not any(_returns(blocks.celsius[part], least) for part in blocks.parts):
+    least_return = LEAST_RETURN * range_k
+    if not any(_returns(blocks.celsius[part], least_return) for part in blocks.parts):
         return {}, [finding('temperature_one_way', range=range_k)]
-    warmer, rate = blocks.celsius - blocks.reference, blocks.rate
+    difference, rate = blocks.celsius - blocks.reference, blocks.rate
     mean_rate = float(np.abs(rate).mean())
-    loop = rate / (2.0 * mean_rate) if mean_rate else rate
-    effects = np.column_stack([warmer, warmer**2 + blocks.spread, loop])
-    trend = np.zeros((len(warmer), 2 * len(blocks.parts)))
+    hysteresis = rate / (2.0 * mean_rate) if mean_rate else rate
+    effects = np.column_stack([difference, difference**2 + blocks.spread, hysteresis])
+    trend = np.zeros((len(difference), 2 * len(blocks.parts)))
     for r, part in enumerate(blocks.parts):
         trend[part, 2 * r] = 1.0
         trend[part, 2 * r + 1] = blocks.time[part] - blocks.time[part].mean()
@@ -214,36 +217,36 @@ def temperature_models(
 
 def _blocks(sums: AllanSums, time_ns: Ints, celsius: Floats) -> _Blocks:
     """Return the block means whose temperature is known."""
-    known = [(r, m) for r, one in enumerate(sums.recordings) for m in one.means]
-    step = max((m.step for _, m in known), default=1)
-    while sum(m.samples // step for _, m in known) > MOST_MEANS:
+    segments = [(r, m) for r, one in enumerate(sums.recordings) for m in one.means]
+    step = max((m.step for _, m in segments), default=1)
+    while sum(m.samples // step for _, m in segments) > MOST_MEANS:
         step *= 2
     tau0 = sums.tau0 or 1.0
     rows = []
-    origin = known[0][1].start_ns if known else 0
-    for r, m in known:
+    origin = segments[0][1].start_ns if segments else 0
+    for r, m in segments:
         values = m.coarser(step).values + sums.recordings[r].reference
         time = (m.start_ns - origin) * 1e-9 / (step * tau0) + np.arange(len(values)) + 0.5
         rows.append((np.full(len(values), r), time, values))
     if not rows:
-        none = np.zeros(0)
-        return _Blocks(step, np.zeros(0, np.int64), none, none, none, none)
+        empty = np.zeros(0)
+        return _Blocks(step, np.zeros(0, np.int64), empty, empty, empty, empty)
     recording, time, values = (np.concatenate(column) for column in zip(*rows))
-    read = (time_ns - origin) * 1e-9 / (step * tau0)
-    inside = time[:, None] + (np.arange(8) - 3.5) / 8.0
-    within = np.interp(inside, read, celsius, np.nan, np.nan)
-    mean, spread = within.mean(axis=1), within.var(axis=1)
-    after = np.clip(np.searchsorted(read, time), 1, len(read) - 1)
-    pause = max(LONGEST_PAUSE_S / (step * tau0), 2.0)
-    some = np.isfinite(mean) & (read[after] - read[after - 1] < pause)
-    return _Blocks(step, *(each[some] for each in (recording, time, mean, spread, values)))
+    reading_times = (time_ns - origin) * 1e-9 / (step * tau0)
+    times_in_block = time[:, None] + (np.arange(8) - 3.5) / 8.0
+    temperatures = np.interp(times_in_block, reading_times, celsius, np.nan, np.nan)
+    mean, spread = temperatures.mean(axis=1), temperatures.var(axis=1)
+    next_reading = np.clip(np.searchsorted(reading_times, time), 1, len(reading_times) - 1)
+    pause = reading_times[next_reading] - reading_times[next_reading - 1]
+    is_known = np.isfinite(mean) & (pause < max(LONGEST_PAUSE_S / (step * tau0), 2.0))
+    return _Blocks(step, *(each[is_known] for each in (recording, time, mean, spread, values)))
 
 
 def _returns(celsius: Floats, least: float) -> bool:
-    """Return whether the temperature rises and also falls by at least ``least``."""
-    up = np.max(celsius - np.minimum.accumulate(celsius))
-    down = np.max(np.maximum.accumulate(celsius) - celsius)
-    return bool(min(up, down) >= least)
+    """Return whether the temperature rises and also falls by at least ``least``, in K."""
+    rise = np.max(celsius - np.minimum.accumulate(celsius))
+    fall = np.max(np.maximum.accumulate(celsius) - celsius)
+    return bool(min(rise, fall) >= least)
 
 
 def _complement(columns: Floats) -> Floats:
@@ -256,7 +259,8 @@ class _BlockNoise(NamedTuple):
     """Noise of the block means of one axis."""
 
     processes: tuple[Process, ...]  # with shapes in samples
-    known: Floats  # (processes,) squared coefficients in SI per sample, NaN for those to be fitted
+    # (processes,) squared coefficients in the squared unit of the samples; NaN if to be fitted
+    known: Floats
 
 
 def _block_noise(fit: AxisFit, tau0: float, step: int) -> _BlockNoise:
@@ -267,24 +271,24 @@ def _block_noise(fit: AxisFit, tau0: float, step: int) -> _BlockNoise:
     omitted: they may be effects of the temperature.
     """
     white = fit.model.value('N') ** 2 / tau0
-    fast: dict[Process, float] = {}
+    fast_variances: dict[Process, float] = {}
     for part in fit.model.shaped.parts:
         process = part.process.in_unit(tau0)
         if process.slowest_time >= SLOW * step:
             continue
         variance = process.variance_of(part.value, tau0)
         if process.is_line:
-            # half of the variance of its aliases, which are at random frequencies
+            # half of the largest variance of the aliases, whose frequencies are random
             white += 0.5 * step * variance * process.alias_variance(step)
         else:
-            fast[process] = fast.get(process, 0.0) + variance
-    known = {White(): white or math.nan, **fast}
-    processes = (*NOISE, *fast)
+            fast_variances[process] = fast_variances.get(process, 0.0) + variance
+    known = {White(): white or math.nan, **fast_variances}
+    processes = (*NOISE, *fast_variances)
     return _BlockNoise(processes, np.array([known.get(each, math.nan) for each in processes]))
 
 
 class _NoiseFit(NamedTuple):
-    """Fit of the noise to a part of the contrasts of the block means, and its data."""
+    """Fit of the noise to contrasts of the block means, and the data of this fit."""
 
     data: AxisData
     fit: Fit
@@ -308,11 +312,11 @@ class _NoiseFit(NamedTuple):
 
 
 class _Effects(NamedTuple):
-    """Effects of the temperature on the contrasts, by generalized least squares."""
+    """Effects of the temperature, estimated from the contrasts by generalized least squares."""
 
-    values: Floats  # (effects,)
-    covariance: Floats  # (effects, effects)
-    dof: Floats  # (effects,) degrees of freedom of each variance
+    values: Floats  # (effects,) estimated sizes of the effects
+    covariance: Floats  # (effects, effects) covariance of the sizes
+    dof: Floats  # (effects,) degrees of freedom of the variance of each size
 
 
 def half_widths(variances: ArrayLike, dof: ArrayLike) -> Floats:
@@ -333,12 +337,13 @@ class _Contrasts:
     Attributes
     ----------
     data : AxisData
-        The axis, of which the scale and the statistics are used.
+        Data of the axis, of which only the scale and the statistics are used.
     processes : tuple of Process
         Noise of the block means, with shapes in samples.
     known : (processes,) array
-        Squared coefficients relative to ``data.scale``, NaN for those to be fitted.
+        Squared coefficients relative to ``data.scale``, NaN for coefficients that are to be fitted.
     z : (contrasts,) array
+        Contrasts of the block means.
     covariances : (processes, contrasts, contrasts) array
         Covariance of the contrasts for unit noise of each process.
     """
@@ -350,55 +355,63 @@ class _Contrasts:
     covariances: Floats
 
     def fitted(self, basis: Floats) -> _NoiseFit:
-        """Return the fit of the noise to the part of the contrasts in a basis.
+        """Return the fit of the noise to the projections of the contrasts on a basis.
 
-        A known coefficient enters the likelihood as a measured power to which only its own process
-        contributes.
+        The columns of ``basis``, (contrasts, n), are orthonormal. A known coefficient enters the
+        likelihood as a measured power to which only the process of this coefficient contributes.
         """
         is_known = np.isfinite(self.known)
-        only_own = np.eye(len(self.processes))[is_known]
-        part = basis.T @ self.z
+        power_columns = np.eye(len(self.processes))[is_known]
+        projected = basis.T @ self.z
         data = replace(
             self.data,
             power=self.known[is_known],
-            dof=np.full(len(only_own), KNOWN_DOF),
-            used=np.ones(len(only_own), bool),
-            low=[LowBand(1, np.zeros(0), np.outer(part, part))],
+            dof=np.full(len(power_columns), KNOWN_DOF),
+            used=np.ones(len(power_columns), bool),
+            low=[LowBand(1, np.zeros(0), np.outer(projected, projected))],
         )
-        columns = Columns(only_own, [basis.T @ self.covariances @ basis])
+        columns = Columns(power_columns, [basis.T @ self.covariances @ basis])
         return _NoiseFit(data, data.solve(self.processes, columns))
 
     def regression(self, fit: Fit, effects: Floats) -> _Effects:
-        """Return the effects, whose shapes are (contrasts, effects), by generalized least squares.
+        """Return the sizes of effects, estimated by generalized least squares.
 
-        The covariance and its degrees of freedom contain the errors of the noise (Kenward & Roger,
-        Biometrics 53, 1997; Satterthwaite).
+        Each column of ``effects``, (contrasts, effects), has the contrasts of one effect of size 1.
+        The covariance and its degrees of freedom take the errors of the fitted noise into account
+        (Kenward & Roger, Biometrics 53, 1997; Satterthwaite).
         """
         covariances = self.covariances
-        noise = np.linalg.inv(np.tensordot(fit.p, covariances, 1))
-        weighed = noise @ effects
-        covariance = inverse(effects.T @ weighed)  # singular with only two temperatures
+        precision = np.linalg.inv(np.tensordot(fit.p, covariances, 1))
+        weighed = precision @ effects
+        covariance = inverse(effects.T @ weighed)  # singular for only two temperatures
         gain = covariance @ weighed.T
-        moved = gain @ covariances  # (processes, effects, contrasts)
+        gain_covariances = gain @ covariances  # (processes, effects, contrasts)
         errors = inverse(fit.information)
-        slopes = np.einsum('kei,ei->ek', moved, gain)
-        scatter = np.einsum('ek,kl,el->e', slopes, errors, slopes)
-        dof = 2.0 * np.diag(covariance) ** 2 / np.maximum(scatter, 1e-300)
-        rest = noise - weighed @ gain
-        more = np.einsum('kei,kl,lfi->ef', moved @ rest, errors, moved, optimize=True)
-        return _Effects(gain @ self.z, covariance + 2.0 * more, np.clip(dof, 1.0, 1e6))
+        slopes = np.einsum('kei,ei->ek', gain_covariances, gain)
+        variance_errors = np.einsum('ek,kl,el->e', slopes, errors, slopes)
+        dof = 2.0 * np.diag(covariance) ** 2 / np.maximum(variance_errors, 1e-300)
+        residual = precision - weighed @ gain
+        correction = np.einsum(
+            'kei,kl,lfi->ef', gain_covariances @ residual, errors, gain_covariances, optimize=True
+        )
+        return _Effects(gain @ self.z, covariance + 2.0 * correction, np.clip(dof, 1.0, 1e6))
 
 
 def _contrasts(
     data: AxisData, fit: AxisFit, tau0: float, blocks: _Blocks, basis: Floats
 ) -> _Contrasts:
-    """Return the contrasts of one axis; ``basis`` excludes constants and lines."""
+    """Return the contrasts of one axis.
+
+    The columns of ``basis``, (blocks, contrasts), are orthogonal to a constant and a line in time.
+    """
     noise = _block_noise(fit, tau0, blocks.step)
     lags = np.abs(np.subtract.outer(blocks.time, blocks.time))
     lags = np.maximum(np.round(lags, 6), 1.0 - np.eye(len(lags)))
-    same = np.equal.outer(blocks.recording, blocks.recording)
+    is_same_recording = np.equal.outer(blocks.recording, blocks.recording)
     gammas = (process.gamma(blocks.step, lags) for process in noise.processes)
-    covariances = np.array([basis.T @ np.where(same, gamma, 0.0) @ basis for gamma in gammas])
+    covariances = np.array(
+        [basis.T @ np.where(is_same_recording, gamma, 0.0) @ basis for gamma in gammas]
+    )
     z = basis.T @ blocks.values[:, data.axis]
     scale = float(z @ z) / len(z) or 1.0
     data, known = replace(data, scale=scale), noise.known / scale
@@ -410,40 +423,40 @@ def _model(
 ) -> TemperatureModel | None:
     """Return the model of one axis; None if an interval is unknown.
 
-    ``effects``, (blocks, 3), are the columns of b1, b2 and the hysteresis. ``basis`` is the basis
-    of the contrasts.
+    The columns of ``effects``, (blocks, 3), are the effects of b1, b2 and the hysteresis on the
+    block means. ``basis`` is the basis of the contrasts.
     """
     from scipy.special import fdtrc  # slow to import
 
     scale, columns = contrasts.data.scale, basis.T @ effects
     corrected = contrasts.fitted(_complement(columns))
     found = contrasts.regression(corrected.fit, columns)
-    slopes, of_slopes = found.values[:2], found.covariance[:2, :2]
-    test = slopes @ np.linalg.solve(of_slopes, slopes) / 2.0
+    slopes, slope_covariance = found.values[:2], found.covariance[:2, :2]
+    test = slopes @ np.linalg.solve(slope_covariance, slopes) / 2.0
     values, covariance = found.values * math.sqrt(scale), found.covariance * scale
-    # the mean of all blocks has white noise of its own, and the errors of the effects
-    y, center = blocks.values[:, contrasts.data.axis], effects.mean(axis=0)
+    # the error of the level: white noise of the mean of all blocks, and the errors of the effects
+    y, mean_effects = blocks.values[:, contrasts.data.axis], effects.mean(axis=0)
     white = float(corrected.fit.p[NOISE.index(White())]) * scale / blocks.step
-    level = float(y.mean() - center @ values)
-    of_level = white / len(y) + center @ covariance @ center
-    half_of_level = float(half_widths(of_level, found.dof.min()))
-    halves = half_widths(np.diag(covariance), found.dof)
+    level = float(y.mean() - mean_effects @ values)
+    level_variance = white / len(y) + mean_effects @ covariance @ mean_effects
+    level_half_width = float(half_widths(level_variance, found.dof.min()))
+    effect_half_widths = half_widths(np.diag(covariance), found.dof)
     b1_ci95, b2_ci95, hysteresis_ci95 = (
-        (float(v - h), float(v + h)) for v, h in zip(values, halves)
+        (float(v - h), float(v + h)) for v, h in zip(values, effect_half_widths)
     )
-    if not np.isfinite([half_of_level, *halves[:2]]).all():
+    if not np.isfinite([level_half_width, *effect_half_widths[:2]]).all():
         return None
-    drift, left = (
+    drift, left_drift = (
         sum(float(np.sum((x[p] - x[p].mean()) ** 2)) for p in blocks.parts) / len(y) - white
         for x in (y, y - effects[:, :2] @ values[:2])
     )
-    drifts = drift > 3.0 * math.sqrt(2.0 / len(y)) * white
+    has_drift = drift > 3.0 * math.sqrt(2.0 / len(y)) * white
     return TemperatureModel(
         reference=blocks.reference,
         lowest=float(blocks.celsius.min()),
         highest=float(blocks.celsius.max()),
         b0=level,
-        b0_ci95=(level - half_of_level, level + half_of_level),
+        b0_ci95=(level - level_half_width, level + level_half_width),
         b1=float(values[0]),
         b1_ci95=b1_ci95,
         b2=float(values[1]),
@@ -452,7 +465,7 @@ def _model(
         hysteresis_ci95=hysteresis_ci95,
         rate=float(np.abs(blocks.rate).mean()) / (blocks.step * tau0),
         resolved=bool(fdtrc(2.0, found.dof[:2].min(), test) < TEMPERATURE_RESOLVED),
-        explained=min(max(1.0 - left / drift, 0.0), 1.0) if drifts else None,
+        explained=min(max(1.0 - left_drift / drift, 0.0), 1.0) if has_drift else None,
         averaging_time=blocks.step * tau0,
         measured=contrasts.fitted(np.eye(len(columns))).slow_noise(tau0),
         corrected=corrected.slow_noise(tau0),

@@ -1,15 +1,16 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Statistics of a noise process, derived from its gamma: one function for all processes.
+"""Statistics of a noise process, derived from its autocovariance `Process.gamma`.
 
-The time unit is the sample period, and the coefficient is 1.
+The time unit is the sample period, and the coefficient of the process is 1.
 
 Method
 ------
-Every statistic is a contrast: a sum of means with weights w_i whose sum is 0. The variance of a
-contrast is sum w_i w_j gamma(M, |i - j|), in which a constant in gamma cancels. The same formula
-therefore holds for bias instability and random walk, whose variance is infinite (generalized
-covariance; G. Matheron, The intrinsic random functions and their applications, 1973).
+Every statistic is the variance of a contrast: of a sum of means with weights w_i whose sum is 0.
+This variance is the sum of w_i w_j gamma(M, |i - j|) over i and j, in which a constant in gamma
+cancels. The formula therefore also holds for bias instability and random walk, whose variance is
+infinite (generalized covariance; G. Matheron, The intrinsic random functions and their
+applications, 1973).
 """
 
 from __future__ import annotations
@@ -26,18 +27,19 @@ from .process import Floats, Process
 from .processes.gauss_markov import GaussMarkov
 
 MOST_CACHED = 1 << 22
-"""Largest number of lags for which gamma is kept for the next axis of a simulation (34 MB for each
-process)."""
+"""Largest number of lags of gamma that are kept in memory for the next axis of a simulation (34 MB
+for each process)."""
 
 LONGEST_CIRCLE = 16
-"""Largest length of a circulant covariance matrix relative to the shortest possible one. If a
-matrix of this length still has negative eigenvalues, they are set to 0."""
+"""Largest size of a circulant covariance matrix, relative to the smallest possible size. Negative
+eigenvalues of a matrix of the largest size are set to 0."""
 
 
 def avar(process: Process, m: ArrayLike) -> Floats:
     """Return the Allan variance at averaging factors m, for the coefficient 1.
 
-    It is gamma(m, 0) - gamma(m, 1). The result is a float64 array of the shape of ``m``.
+    The Allan variance is gamma(m, 0) - gamma(m, 1). The result is a float64 array of the shape of
+    ``m``.
 
     Examples
     --------
@@ -49,9 +51,9 @@ def avar(process: Process, m: ArrayLike) -> Floats:
 
 
 def autocorrelation(weights: NDArray[np.number]) -> Floats:
-    """Return the coefficients c_j of gamma_j in the sum of w_i conj(w_k) gamma_|i-k| over i and k.
+    """Return the coefficients c_j for which sum w_i conj(w_k) gamma_|i-k| equals sum c_j gamma_j.
 
-    The weights w and the result are (..., n).
+    The weights w and the coefficients c are (..., n).
     """
     n = np.shape(weights)[-1]
     coefficients = np.fft.ifft(np.abs(np.fft.fft(weights, 2 * n)) ** 2).real[..., :n]
@@ -92,14 +94,14 @@ def covariance_of_means(process: Process, step: int, lags: ArrayLike) -> Floats:
 def growth_variance(process: Process, horizon: ArrayLike, window: ArrayLike) -> Floats:
     """Return the variance of the sum of ``horizon`` samples after the bias was subtracted.
 
-    The bias is the mean of the ``window`` samples before them. Both numbers of samples may be
-    arrays, which broadcast. A sum over M samples has the variance M^2 gamma(M, 0). The covariance
-    of two neighboring sums follows from the variances of both sums and of their total.
+    The bias is the mean of the ``window`` samples directly before the sum. Both numbers of samples
+    may be arrays, which broadcast. A sum over M samples has the variance M^2 gamma(M, 0). The
+    covariance of two neighboring sums follows from the variance of each sum and of their total.
     """
     n, b = np.asarray(horizon, float), np.asarray(window, float)
-    of_horizon, of_window, of_both = (process.gamma(M, 0) for M in (n, b, n + b))
-    twice_cross = (n + b) ** 2 * of_both - n**2 * of_horizon - b**2 * of_window
-    return np.asarray(n**2 * (of_horizon + of_window) - n / b * twice_cross)
+    gamma_horizon, gamma_window, gamma_both = (process.gamma(M, 0) for M in (n, b, n + b))
+    twice_cross = (n + b) ** 2 * gamma_both - n**2 * gamma_horizon - b**2 * gamma_window
+    return np.asarray(n**2 * (gamma_horizon + gamma_window) - n / b * twice_cross)
 
 
 def simulate(parts: Iterable[tuple[float, Process]], n: int, rng: np.random.Generator) -> Floats:
@@ -110,32 +112,32 @@ def simulate(parts: Iterable[tuple[float, Process]], n: int, rng: np.random.Gene
     The samples are drawn by circulant embedding of gamma (Dietrich & Newsam, SIAM J. Sci. Comput.
     18, 1997): gamma, continued to an even periodic sequence, is the first row of a circulant
     covariance matrix, whose eigenvalues are the Fourier transform of this row. The constant in
-    gamma and an infinite spectrum at frequency 0 change only the mean, so flicker noise and random
-    walk are exact, too. Ramps and sinusoids are computed by their own `Process.sample`.
+    gamma and an infinite spectrum at frequency 0 change only the mean. Flicker noise and random
+    walk are therefore exact, too. Ramps and sinusoids are computed by `Process.sample`.
     """
     from scipy import fft  # slow to import, and rarely needed
 
     y = np.zeros(n)
-    drawn = []
+    from_gamma = []
     for coefficient, process in parts:
         samples = process.sample(n, rng)
         if samples is None:
-            drawn.append((process.variance_of(coefficient, 1.0), process))
+            from_gamma.append((process.variance_of(coefficient, 1.0), process))
         else:
             y += coefficient * samples
-    circle = 1
-    while drawn:
-        half = fft.next_fast_len(max(circle * (n - 1), 2), real=True)
+    relative_size = 1
+    while from_gamma:
+        half = fft.next_fast_len(max(relative_size * (n - 1), 2), real=True)
         gamma = np.zeros(half + 1)
-        for variance, process in drawn:
+        for variance, process in from_gamma:
             gamma += variance * _lags(process, half + 1)
         # the Fourier transform of an even sequence is the cosine transform of half of it
         eigenvalues = fft.dct(gamma, type=1, overwrite_x=True)
         eigenvalues[0] = 0.0
-        if eigenvalues.min() > -1e-9 * eigenvalues.max() or circle >= LONGEST_CIRCLE:
+        if eigenvalues.min() > -1e-9 * eigenvalues.max() or relative_size >= LONGEST_CIRCLE:
             y += _draw(np.maximum(eigenvalues, 0.0), rng)[:n]
             break
-        circle *= 2
+        relative_size *= 2
     return y
 
 
@@ -154,10 +156,11 @@ def _kept_lags(process: Process, number: int) -> Floats:
 
 
 def _draw(eigenvalues: Floats, rng: np.random.Generator) -> Floats:
-    """Return a random stationary sequence with a circulant covariance matrix, (2 half,).
+    """Return a random stationary sequence, (2 half,), with a circulant covariance matrix.
 
-    ``eigenvalues``, (half + 1,), are the spectrum at frequencies from 0 to 1/2. The autocovariance
-    is correct for lags of up to ``half``: only half + 1 successive values can be used.
+    ``eigenvalues``, (half + 1,), are the eigenvalues of this matrix for frequencies from 0 to 1/2.
+    The autocovariance of the sequence is correct for lags of up to ``half``, so that only half + 1
+    successive values can be used.
     """
     from scipy import fft
 

@@ -18,8 +18,8 @@ from .process import Floats, Process
 from .registry import LETTERS, PROCESSES
 
 CONTINUOUS = 1e-6
-"""Sample period with which continuous time is approximated, relative to the shortest time of
-interest."""
+"""Sample period with which continuous time is approximated, relative to the shortest averaging
+time."""
 
 BY_LETTER: Mapping[str, Process] = {
     one.letter: one() for one in PROCESSES.values() if one.letter and not one.parameters
@@ -130,13 +130,13 @@ class Model:
         AllanError
             As for `of`.
         """
-        own = {letter: self.value(letter) for letter in BY_LETTER}
-        new = Model.of(**{**own, **terms}).parts
-        rest = (part for part in self.parts if part.process not in BY_LETTER.values())
-        return replace(self, parts=(*new, *rest))
+        present_terms = {letter: self.value(letter) for letter in BY_LETTER}
+        new_parts = Model.of(**{**present_terms, **terms}).parts
+        other_parts = (part for part in self.parts if part.process not in BY_LETTER.values())
+        return replace(self, parts=(*new_parts, *other_parts))
 
     def __getitem__(self, name: str) -> tuple[Part, ...]:
-        """Return all parts whose process has a name, such as 'sinusoid'."""
+        """Return all parts whose process has the name ``name``, such as 'sinusoid'."""
         return tuple(part for part in self.parts if part.process.name == name)
 
     @property
@@ -155,16 +155,16 @@ class Model:
             0 for the lower ends of the intervals, 1 for the upper ends.
         scatter : float
             Half of the 95 % interval of the logarithm of the amplitude of the drift in another hour
-            (`AxisFit.drift_scatter`). The intervals of drift processes become wider by it.
+            (`AxisFit.drift_scatter`). This scatter widens the intervals of drift processes.
         """
 
         def value(part: Part) -> float:
             if part.ci95 is None or part.process.is_line:
                 return part.value
-            near = max(part.ci95[end], 0.0)
-            if not (scatter and near and part.value and part.process.is_drift):
-                return near
-            distance = math.hypot(math.log(near / part.value), scatter)
+            limit = max(part.ci95[end], 0.0)
+            if not (scatter and limit and part.value and part.process.is_drift):
+                return limit
+            distance = math.hypot(math.log(limit / part.value), scatter)
             return part.value * math.exp(distance if end else -distance)
 
         return replace(self, parts=tuple(p._replace(value=value(p)) for p in self.parts))
@@ -175,7 +175,7 @@ class Model:
 
     @property
     def drift(self) -> Model:
-        """The model of all noise whose integrated error grows with time.
+        """The model of all noise whose integral grows with time.
 
         Processes whose integral is bounded, such as quantization and sinusoids above 0.1 Hz, are
         excluded. A resonance is replaced by white noise with the same density at 0 Hz.
@@ -186,7 +186,7 @@ class Model:
 
     @property
     def has_drift(self) -> bool:
-        """Whether a process other than white noise drifts."""
+        """Whether the integral of a process other than white noise grows with time."""
         return any(p.process.is_drift and not p.process.is_white for p in self.parts)
 
     def avar(self, tau: ArrayLike, tau0: float = 0.0) -> Floats:
@@ -231,7 +231,10 @@ class Model:
         step = tau0 or CONTINUOUS * float(tau.min(initial=1.0))
         found: dict[str, Floats] = {}
         for part in self.parts:
-            variance, unit = part.process.variance_of(part.value, step), part.process.in_unit(step)
+            variance, in_samples = (
+                part.process.variance_of(part.value, step),
+                part.process.in_unit(step),
+            )
             title = part.process.title
-            found[title] = found.get(title, 0.0) + variance * avar(unit, tau / step)
+            found[title] = found.get(title, 0.0) + variance * avar(in_samples, tau / step)
         return found

@@ -1,8 +1,9 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Base class of the noise processes, and the range in which the fit searches for them.
+"""Base class of the noise processes, and the range of shapes in which a fit searches for processes.
 
-The only mathematics of a process is `Process.gamma`. `derived` computes all statistics from it.
+A process is defined by its autocovariance `Process.gamma`. The module `derived` computes all
+statistics from this function.
 """
 
 from __future__ import annotations
@@ -17,43 +18,43 @@ from numpy.typing import ArrayLike, NDArray
 
 Floats = NDArray[np.float64]
 Gamma = Callable[[ArrayLike, ArrayLike], Floats]
-"""Function gamma(M, j) as `Process.gamma`, whose arguments broadcast."""
+"""Function gamma(M, j), such as `Process.gamma`. Its arguments broadcast."""
 
 GAIN_PROCESS = 11.0
-"""Least gain in -2 log L (decrease) for which one more process is added to a model. For a process
-with a frequency, 2 log(bins) is added. The value is chosen for false alarms on 1 % of the axes.
-Measured (`bench/bench_accuracy.py`): a Gauss-Markov process or a bounded random walk on 0.7 % of
-2100 axes, a sinusoid or a resonance on none."""
+"""Least gain (decrease of -2 log L) for which one more process is added to a model. For a process
+with a frequency, the least gain is larger by 2 log(bins). The value is chosen for false alarms on
+1 % of the axes. Measured false alarms (`bench/bench_accuracy.py`): a Gauss-Markov process or a
+bounded random walk on 0.7 % of 2100 axes, a sinusoid or a resonance on none."""
 
 GAIN_RESOLVED = 5.41
-"""Least gain in -2 log L of the estimate of a term over 0 for which the term is resolved. It is
-2.33^2, for false alarms of 1 % (one-sided). Measured: 1.0 % for B and 1.0 % for K."""
+"""Least decrease of -2 log L from a coefficient of 0 to its estimate for which a term is resolved.
+The value is 2.326^2, for false alarms of 1 % (one-sided). Measured: 1.0 % for B and for K."""
 
 LARGEST_NUMBER = 1e150
-"""Limit of a coefficient before it is squared, because documents may contain larger numbers, whose
-squares overflow."""
+"""Larger coefficients are reduced to this number before they are squared. Documents may contain
+coefficients whose squares overflow."""
 
 LEAST_PERIODS = 3.0
-"""Fewest periods of a sinusoid or resonance in the longest segment. Fewer periods cannot be told
-from a slow drift."""
+"""Fewest periods of a sinusoid or resonance in the longest segment. A process with fewer periods
+cannot be told from a slow drift."""
 
 
 class Parameter(NamedTuple):
     """One number of the shape of a process."""
 
-    name: str  # of the field of the class
+    name: str  # name of the field of the class
     unit: Literal['s', 'Hz']  # the time unit is the sample period in gamma, and 1 s in a `Model`
     largest_step: float  # largest change of the logarithm of the number in one step of a search
     derivative_step: float  # change of the logarithm of the number in a numerical derivative
 
 
 CORRELATION_TIME = Parameter('correlation_time', 's', 0.7, 1e-3)
-"""Time in which the autocovariance decays to 1/e. A step of a search changes it by at most a factor
-of two."""
+"""Time in which the autocovariance decays to 1/e. A step of a search changes this time by at most a
+factor of two."""
 
 FREQUENCY = Parameter('frequency', 'Hz', 0.06, 1e-4)
-"""Frequency of an oscillation. A step of a search changes it by at most 6 %, which is half a bin at
-the lower end of an octave of the spectra."""
+"""Frequency of an oscillation. A step of a search changes the frequency by at most 6 %: half a
+bin at the lower end of an octave of the spectra."""
 
 
 class States(NamedTuple):
@@ -100,7 +101,7 @@ class Search:
     def narrowest(self, frequency: float) -> float:
         """Return the correlation time from which a resonance cannot be told from a sinusoid.
 
-        The bandwidth of the resonance is then a third of the width of a bin.
+        With this correlation time, the bandwidth of the resonance is a third of the width of a bin.
         """
         nearest = int(np.argmin(np.abs(self.f - frequency))) if len(self.f) else 0
         return float(self.block[nearest]) if len(self.f) else 64.0
@@ -111,8 +112,8 @@ class Process:
     """A noise process with the coefficient 1, and with a shape if it has fields.
 
     A subclass is a frozen dataclass in a module of `allan_ros.core.noise.processes`. The fields of
-    the subclass are the numbers of the shape, for example a correlation time. It must define
-    `gamma`, and either `states` or `no_states`.
+    the subclass are the numbers of the shape, for example a correlation time. A subclass must
+    define `gamma`, and either `states` or `no_states`.
     """
 
     name: ClassVar[str]
@@ -125,7 +126,7 @@ class Process:
     """One sentence for the documentation."""
 
     letter: ClassVar[str] = ''
-    """Letter of the coefficient in IEEE Std 952-1997, if the process is one of its terms."""
+    """Letter of the coefficient, if it is a coefficient of IEEE Std 952-1997; else ''."""
 
     coefficient: ClassVar[str] = 'sigma'
     """Name of the coefficient of a process without a letter."""
@@ -146,17 +147,18 @@ class Process:
     """Whether the process is white noise."""
 
     is_regressor: ClassVar[bool] = False
-    """Whether the process is a known function of time with an unknown factor, such as a ramp."""
+    """Whether the process is not random: a ramp, or the effect of a low-pass filter."""
 
     is_line: ClassVar[bool] = False
     """Whether all power is at one frequency."""
 
     low_band: ClassVar[Literal['dense', 'rank two', 'none']] = 'dense'
     """Form of the covariance of the block means in the search for the process: a dense matrix, a
-    matrix of rank two (cosine and sine), or none because all candidates are faster."""
+    matrix of rank two (cosine and sine), or none because all candidates are too fast to change the
+    block means."""
 
     replaces: ClassVar[type[Process] | None] = None
-    """The term that this process replaces if the data show its shape."""
+    """The term that this process replaces if the data show the shape of the process."""
 
     def gamma(self, M: ArrayLike, j: ArrayLike) -> Floats:
         """Return the autocovariance of means over M samples at a lag of j means.
@@ -180,23 +182,23 @@ class Process:
 
     @property
     def is_drift(self) -> bool:
-        """Whether the process adds to the growing error of an integral (shape in s and Hz)."""
+        """Whether the integral of the process grows with time; the shape must be in s and Hz."""
         return True
 
     @property
     def density_at_zero(self) -> float:
-        """Two-sided power spectral density at 0 Hz of a broad oscillation, for the coefficient 1.
+        """Two-sided power spectral density at 0 Hz of a resonance, for the coefficient 1.
 
-        The integral of the oscillation grows like the integral of white noise of this density. The
-        unit is the unit of time. The density is 0 for all other processes.
+        The integral of a resonance grows like the integral of white noise of this density. The unit
+        of the density is the unit of time of the shape. The result is 0 for all other processes.
         """
         return 0.0
 
     @property
     def slowest_time(self) -> float:
-        """Correlation time, or half of the period of a sinusoid.
+        """Correlation time of a process, or half of the period of a sinusoid.
 
-        It is infinite for a process without a shape, and 0 for a resonance.
+        The result is infinite for a process without a shape, and 0 for a resonance.
         """
         return math.inf
 
@@ -223,7 +225,7 @@ class Process:
     def bounds(self, parameter: Parameter, search: Search) -> tuple[float, float]:
         """Return the lowest and the highest value of a number of the shape in a search.
 
-        Both are in samples or in cycles per sample.
+        Correlation times are in samples, and frequencies in cycles per sample.
         """
         if parameter.unit == 's':
             return search.shortest, 4.0 * search.longest
@@ -274,7 +276,7 @@ class Process:
         return {p.name: getattr(self, p.name) for p in self.parameters}
 
     def with_shape(self, numbers: Mapping[str, float]) -> Process:
-        """Return the process with some numbers of its shape changed."""
+        """Return the process with new values for some numbers of its shape."""
         return replace(self, **numbers)
 
     def scaled(self, parameter: Parameter, factor: float) -> Process:
@@ -298,18 +300,18 @@ class Process:
         )
 
     def in_samples(self, coefficient: float, tau0: float) -> float:
-        """Return an SI coefficient in sample units, where the sample period is the unit of time."""
+        """Return an SI coefficient in units in which the sample period is the unit of time."""
         return coefficient * math.pow(tau0, -self.time_power)
 
     def variance_of(self, coefficient: float, tau0: float) -> float:
-        """Return the factor by which gamma is multiplied: the coefficient squared, in sample units.
+        """Return the factor by which gamma is multiplied: the squared result of `in_samples`.
 
         ``coefficient`` is in SI, and ``tau0`` is the sample period in s.
         """
         return min(abs(self.in_samples(coefficient, tau0)), LARGEST_NUMBER) ** 2
 
     def coefficient_of(self, variance: float, tau0: float) -> float:
-        """Return the SI coefficient for a factor of gamma (``variance``); 0 if it is negative."""
+        """Return the SI coefficient for a factor ``variance`` of gamma; 0 for a negative factor."""
         return math.sqrt(max(variance, 0.0)) * math.pow(tau0, self.time_power)
 
     @property

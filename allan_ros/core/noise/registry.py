@@ -24,7 +24,7 @@ def _classes() -> Iterator[type[Process]]:
 
 
 def _place(one: type[Process]) -> tuple[int, int, str]:
-    """Return the sort key of a process: the five terms come first."""
+    """Return the sort key of a class of processes: the five terms come first."""
     letter = LETTERS.find(one.letter) if one.letter else len(LETTERS)
     return len(one.parameters) and len(LETTERS), letter, one.name
 
@@ -44,9 +44,10 @@ SEARCHED: tuple[type[Process], ...] = tuple(
     for one in PROCESSES.values()
     if one.parameters and one.replaces is None and not one.is_regressor
 )
-"""The processes that a fit may add."""
+"""The classes of processes that a fit may add to the random terms."""
 
 REPLACEMENTS: Mapping[type[Process], type[Process]] = {
     one.replaces: one for one in PROCESSES.values() if one.replaces is not None
 }
-"""Term -> process that replaces it if the data show its shape."""
+"""Class of a term -> class of the process that replaces the term if the data show the shape of the
+process."""

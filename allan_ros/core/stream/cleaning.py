@@ -1,9 +1,9 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Selects header or record stamps, sorts samples by stamp, and counts each time once.
+"""Prepares the samples of a stream: chooses their stamps, sorts them, and excludes unusable ones.
 
-Duplicates, samples that are not finite, and samples with backward stamps are excluded. Samples
-that a driver repeats at random are interpolated.
+Excluded are samples of a time that earlier samples cover, duplicates, samples that are not finite,
+and samples with backward stamps. Samples that a driver repeats at random are interpolated.
 """
 
 from __future__ import annotations
@@ -30,39 +30,40 @@ from .sensors import SensorPlan
 from .timing import has_time
 
 BACKWARD_RUN = 16
-"""If this number of consecutive samples is stamped earlier than the latest stamp, the clock was set
-back. Fewer such samples are excluded."""
+"""If this many consecutive samples have stamps earlier than the latest stamp, the clock was
+set back. Fewer such samples are excluded."""
 
 JUMP_DISTANCE = 4096
-"""Each time that the clock is set back again within this number of samples, twice as many
-consecutive earlier stamps are needed. So stamps without order do not split the data endlessly."""
+"""Each time that the clock is set back within this number of samples after the last such event, the
+number of consecutive earlier stamps from which the clock counts as set back is doubled. Otherwise,
+stamps in random order would split the data again and again."""
 
 REORDER = 32
-"""Samples that arrive out of order are sorted if their place is at most this far away."""
+"""Largest number of places by which sorting moves a sample that arrived out of order."""
 
 DISORDERED_SHARE = 0.25
-"""If more than this share of the stamps are earlier than the previous one, although they were
-sorted over `REORDER` places, they are not used."""
+"""If more than this share of the stamps are earlier than the previous stamp after sorting over
+`REORDER` places, the stamps are not used."""
 
 STAMP_EPOCH_S = (1e9, 4e9)
-"""Range of the present time in s since 1970: the years 2001 to 2096."""
+"""Range of plausible present times, in s since 1970: the years 2001 to 2096."""
 
 SLOWEST_S = 0.1
 """Longest sample period, in s, for which the unit of the stamps is recognized."""
 
 
 NEAR_NS = NANOSECONDS
-"""Longest gap between two stamps, in ns, whose time counts as covered by samples."""
+"""Longest time between two consecutive stamps, in ns, that counts as covered by samples."""
 
 NEVER_NS = -(2**62)
 """A stamp before all others."""
 
 MOST_COVERED = 256
-"""Number of covered stretches of time that are kept apart."""
+"""Largest number of stretches of covered time that are remembered; the oldest are forgotten."""
 
 
 def unit_of_stamps(stamps: Stamps) -> str:
-    """Return 'us' or 'ms' if stamps, (n,), that should be in ns are times in this unit, else 'ns'.
+    """Return the unit of stamps, (n,): 'us' or 'ms' if they are present times in it, else 'ns'.
 
     >>> import numpy as np
     >>> unit_of_stamps(1_700_000_000_000_000 + 5000 * np.arange(9))
@@ -83,9 +84,9 @@ class StampChoice:
     def __init__(self, use_record: bool, declared_rate: float) -> None:
         self.use_record = self._is_record_wanted = use_record
         self._rate = declared_rate
-        self._unit = 1  # of the stamps, in ns
-        self._unusable = False  # the stamps are in no order
-        # number of samples whose stamps were computed from the rate; None if it is not used
+        self._unit = 1  # unit of the stamps, in ns
+        self._unusable = False  # whether the stamps are in no order
+        # number of samples whose stamps were computed from the rate; None if the rate is not used
         self._computed: int | None = None
 
     def learn(self, first: ImuBatch) -> list[Finding]:
@@ -95,21 +96,23 @@ class StampChoice:
         if self.use_record:
             return []
         self._unit, self._unusable = 1, False
-        equal = 'all equal' if len(stamps) < 2 or stamps.min() == stamps.max() else 'mostly equal'
-        what = equal if stamps.any() else 'all zero'
+        equal_stamps = (
+            'all equal' if len(stamps) < 2 or stamps.min() == stamps.max() else 'mostly equal'
+        )
+        fault = equal_stamps if stamps.any() else 'all zero'
         if len(stamps) < 2 or has_time(np.sort(stamps)):
             if are_ordered(first):
                 unit = unit_of_stamps(stamps)
                 self._unit, self._computed = STAMP_UNITS[unit], None
                 return [finding('stamps_unit', unit=unit)] if unit != 'ns' else []
-            what, self._unusable = 'in no order', True
+            fault, self._unusable = 'in no order', True
         if first.record_ns is not None:
             self.use_record = True
-            return [finding('stamps_unusable', what=what)]
+            return [finding('stamps_unusable', what=fault)]
         if self._rate:
             self._computed = self._computed or 0
-            return [finding('stamps_from_rate', what=what, rate=self._rate)]
-        return [finding('stamps_missing', what=what)]
+            return [finding('stamps_from_rate', what=fault, rate=self._rate)]
+        return [finding('stamps_missing', what=fault)]
 
     def of(self, batch: ImuBatch) -> ImuBatch:
         """Return the next samples with the chosen stamps."""
@@ -129,9 +132,9 @@ class StampChoice:
 class StampSorter:
     """Sorts samples that arrive slightly out of order, as over UDP or from several threads.
 
-    Windows of 2 * `REORDER` samples that overlap by half are sorted, except where a sample is later
-    than `REORDER` sample periods: then the clock was set back, or there are two clocks. ``sorted``
-    is the number of samples that arrived late.
+    Windows of 2 * `REORDER` samples, which overlap by half, are sorted. A window with a sample that
+    is delayed by more than `REORDER` sample periods is not sorted, because the clock was set back
+    in it, or there are two clocks. ``sorted`` is the number of samples that arrived late.
     """
 
     def __init__(self, stamps: Stamps = np.empty(0, np.int64)) -> None:
@@ -139,14 +142,14 @@ class StampSorter:
         self.sorted = 0
         places = min(len(stamps) - 1, REORDER)
         ordered = np.sort(stamps)
-        # largest delay that is sorted
+        # largest delay of a sample that is sorted
         self._longest_ns = np.median(ordered[places:] - ordered[:-places]) if places > 0 else 0.0
         self._pending = ImuBatch.empty(len(AXES))
-        self._latest: int | None = None  # the last stamp that was returned
+        self._latest: int | None = None  # stamp of the last sample that was returned
 
     def feed(self, samples: ImuBatch) -> ImuBatch:
-        """Add samples of the six axes, and return all samples whose place is known."""
-        # a new array, which is sorted in place
+        """Add samples of the six axes, and return the samples whose order is final."""
+        # a copy, because the samples are sorted in place
         self._pending = joined([self._pending, samples], copy=True)
         return self._take((len(self._pending) // REORDER - 1) * REORDER)
 
@@ -156,12 +159,12 @@ class StampSorter:
 
     @classmethod
     def all_sorted(cls, samples: ImuBatch) -> ImuBatch:
-        """Return complete data sorted in the same way."""
+        """Return samples, sorted as by `feed` and `flush`."""
         sorter = cls(samples.stamps_ns)
         return joined([sorter.feed(samples), sorter.flush()])
 
     def _take(self, number: int) -> ImuBatch:
-        """Return the first buffered samples, sorted."""
+        """Remove the first ``number`` samples from the buffer, and return them sorted."""
         stamps, rows = self._pending.stamps_ns, self._pending.rows
         if number < 1:
             return self._pending.part(slice(0))
@@ -183,7 +186,7 @@ class StampSorter:
 
 
 def are_ordered(samples: ImuBatch) -> bool:
-    """Return whether stamps advance, and few are earlier than the one before after sorting.
+    """Return whether stamps advance, and few are earlier than the previous stamp after sorting.
 
     >>> import numpy as np
     >>> stamps = np.arange(100) * 10**7
@@ -198,10 +201,12 @@ def are_ordered(samples: ImuBatch) -> bool:
 
 
 class CoveredTime:
-    """Excludes samples of a time that is already covered, as when a recording is played again.
+    """Excludes samples whose time is already covered, as when a recording is played again.
 
-    ``covered`` are stretches of time that are covered before the first sample: (first, last) in ns.
-    Consecutive samples may have equal stamps. ``dropped`` is the number of excluded samples.
+    ``covered`` are stretches of time that are covered before the first sample: (first, last) stamp
+    in ns. Each sample covers the time from the previous stamp to its own, if that is at most
+    `NEAR_NS`. Consecutive samples with equal stamps are all kept. ``dropped`` is the number of
+    excluded samples.
     """
 
     def __init__(self, covered: Sequence[tuple[int, int]] = ()) -> None:
@@ -221,12 +226,12 @@ class CoveredTime:
         if ahead and not any(first <= begin <= last for begin, _ in self._stretches):
             present[1], self._was_new = last, True
             return samples
-        new = np.fromiter(map(self._is_new, stamps.tolist()), bool, len(stamps))
-        self.dropped += int(np.count_nonzero(~new))
-        return samples.part(new)
+        is_new = np.fromiter(map(self._is_new, stamps.tolist()), bool, len(stamps))
+        self.dropped += int(np.count_nonzero(~is_new))
+        return samples.part(is_new)
 
     def _is_new(self, stamp: int) -> bool:
-        """Return whether a stamp is in no stretch, and add it to one."""
+        """Return whether a stamp is in no covered stretch; if so, the stamp becomes covered."""
         if self._was_new and stamp == self._present[1]:
             return True
         for stretch in self._stretches:
@@ -241,35 +246,38 @@ class CoveredTime:
 
 
 class SampleFilter:
-    """Selects the axes of a sensor stream, and drops samples that cannot be used.
+    """Selects the axes of a sensor stream, and excludes samples that cannot be used.
 
-    These are the samples that the plan drops, and samples that are not finite, are duplicates, or
-    have a backward stamp. A duplicate has the stamp and the values of the previous sample. Where
-    the stamps of the kept samples decrease, the clock was set back. ``counts`` is changed in place.
+    Excluded are the samples that the plan drops, samples that are not finite, duplicates, and
+    samples with backward stamps. A duplicate has the stamp and the values of the previous sample.
+    Where the stamps of the kept samples decrease, the clock was set back. ``counts`` is changed in
+    place.
     """
 
     def __init__(self, plan: SensorPlan, counts: Counts) -> None:
         self._drop = plan.drop
         self._axes = [AXES.index(axis) for axis in plan.axes]
-        self._measured: Floats = np.full(len(self._axes), np.nan)  # last values received
+        # values of the last sample that was received
+        self._measured: Floats = np.full(len(self._axes), np.nan)
         self._counts = counts
-        self._latest: int | None = None
-        self._last = 0, self._measured  # stamp and values of the last sample that is finite
-        self._backward = 0  # consecutive samples with earlier stamps
-        # how many of these mean that the clock was set back; more if it was set back recently
+        self._latest: int | None = None  # stamp of the last sample that was returned
+        self._last = 0, self._measured  # stamp and values of the last finite sample
+        self._backward = 0  # number of consecutive samples with earlier stamps
+        # value of `_backward` from which the clock was set back; larger after a recent such event
         self._needed = BACKWARD_RUN
-        self._position = self._last_jump = 0  # number of samples
+        self._position = 0  # number of finite samples so far
+        self._last_jump = 0  # value of `_position` when the clock was last set back
 
     def feed(self, samples: ImuBatch) -> ImuBatch:
-        """Return the samples to keep of the next ones of the six-axis stream."""
+        """Process the next samples of the six-axis stream, and return those that are kept."""
         if len(self._axes) < len(AXES):
             samples = ImuBatch.of_rows(samples.stamps_ns, samples.rows[self._axes])
         if self._drop == 'zero':
             samples = samples.part(np.asarray(samples.rows.any(axis=0)))
         elif self._drop and len(samples):
-            rows, before = samples.rows, self._measured
+            rows, last_values = samples.rows, self._measured
             self._measured = rows[:, -1].copy()
-            changed = rows != np.column_stack([before, rows[:, :-1]])
+            changed = rows != np.column_stack([last_values, rows[:, :-1]])
             samples = samples.part(np.asarray(changed.any(axis=0)))
         rows = samples.rows
         if len(samples) and not (rows.max() <= LARGEST and rows.min() >= -LARGEST):
@@ -279,23 +287,23 @@ class SampleFilter:
         if not len(samples):
             return samples
         stamps, number = samples.stamps_ns, len(samples)
-        last = int(stamps[-1]), samples.rows[:, -1].copy()
+        last_sample = int(stamps[-1]), samples.rows[:, -1].copy()
         latest = stamps[0] - 1 if self._latest is None else self._latest
         if stamps[0] <= latest or (stamps[1:] <= stamps[:-1]).any() or self._backward:
             samples = samples.part(self._select(samples))
-        self._last, self._position = last, self._position + number
+        self._last, self._position = last_sample, self._position + number
         if len(samples):
             self._latest = int(samples.stamps_ns[-1])
         return samples
 
     def _select(self, samples: ImuBatch) -> Flags:
-        """Return which of the samples to keep, (n,), if the stamps may repeat or decrease."""
+        """Return which samples to keep, (n,); their stamps may repeat or decrease."""
         stamps, rows = samples.stamps_ns, samples.rows
         stamp, row = self._last
-        equal = (rows == np.column_stack([row, rows[:, :-1]])).all(axis=0)
-        duplicate = equal & (np.diff(stamps, prepend=stamp) == 0)
-        self._counts.duplicate += int(np.count_nonzero(duplicate))
-        keep = np.asarray(~duplicate)
+        repeats_values = (rows == np.column_stack([row, rows[:, :-1]])).all(axis=0)
+        is_duplicate = repeats_values & (np.diff(stamps, prepend=stamp) == 0)
+        self._counts.duplicate += int(np.count_nonzero(is_duplicate))
+        keep = np.asarray(~is_duplicate)
         latest = stamps[0] if self._latest is None else self._latest
         for i in np.flatnonzero(keep):
             if stamps[i] < latest:
@@ -305,31 +313,32 @@ class SampleFilter:
                     self._counts.backward += 1
                     continue
                 self._counts.splits['clock jump'] += 1
-                at = self._position + int(i)
-                recently = at - self._last_jump < JUMP_DISTANCE
+                position = self._position + int(i)
+                recently = position - self._last_jump < JUMP_DISTANCE
                 self._needed = 2 * self._needed if recently else BACKWARD_RUN
-                self._last_jump = at
+                self._last_jump = position
             self._backward = 0
             latest = stamps[i]
         return keep
 
 
 LONGEST_REPEAT = 16
-"""Largest number of consecutive repeated samples that are interpolated; a sensor that repeats more
-may be stuck."""
+"""Largest number of consecutive repeated samples that are interpolated. A sensor that repeats a
+sample more often may be stuck."""
 
 
 class RepeatFilter:
-    """Interpolates samples that repeat the previous one, in evenly spaced blocks.
+    """Interpolates samples that repeat the previous sample, in evenly spaced blocks.
 
-    ``groups`` are the positions of the axes of each group: a sample is repeated if it equals the
-    previous one on all axes of a group. The last `LONGEST_REPEAT` samples are not returned yet.
+    ``groups`` are groups of axes, each a list of indices. A sample that equals the previous one on
+    all axes of a group is interpolated on these axes. The last `LONGEST_REPEAT` samples are
+    buffered until more samples follow or the segment ends.
     """
 
     def __init__(self, groups: list[list[int]], axes: int) -> None:
         self._groups = groups
         self._empty = self._samples = ImuBatch.empty(axes)
-        self._past = 0  # number of samples that were already returned
+        self._past = 0  # number of buffered samples that were already returned
 
     def feed(self, blocks: list[ImuBatch]) -> list[ImuBatch]:
         """Add blocks, and return the samples whose interpolation is complete."""
@@ -341,33 +350,37 @@ class RepeatFilter:
         return out
 
     def flush(self) -> list[ImuBatch]:
-        """Return the buffered samples at the end of a segment; its last repeats stay unchanged."""
+        """Return the buffered samples at the end of a segment; its last repeats are unchanged."""
         out = self._take(0)
         self._samples, self._past = self._empty, 0
         return out
 
     def _take(self, look_ahead: int) -> list[ImuBatch]:
-        """Return the samples before the look-ahead, with repeated samples interpolated."""
-        have, begin = self._samples, self._past
-        n, end = len(have), len(have) - look_ahead
+        """Return new samples except the last ``look_ahead``; repeated samples are interpolated."""
+        buffered, begin = self._samples, self._past
+        n, end = len(buffered), len(buffered) - look_ahead
         if end <= begin:
             return []
-        rows, index = have.rows.copy(), np.arange(n)
-        filled = np.zeros(rows.shape, np.int32) if have.filled is None else have.filled.copy()
+        rows, index = buffered.rows.copy(), np.arange(n)
+        levels = (
+            np.zeros(rows.shape, np.int32) if buffered.filled is None else buffered.filled.copy()
+        )
         for group in self._groups:
             repeated = np.zeros(n, bool)
-            repeated[1:] = (have.rows[group, 1:] == have.rows[group, :-1]).all(axis=0)
-            left = np.maximum.accumulate(np.where(repeated, -1, index))
-            right = np.minimum.accumulate(np.where(repeated, n, index)[::-1])[::-1]
-            at = np.flatnonzero(repeated & (right < n) & (right - left <= LONGEST_REPEAT + 1))
-            low, high = left[at], right[at]
-            fraction = (at - low) / (high - low)
+            repeated[1:] = (buffered.rows[group, 1:] == buffered.rows[group, :-1]).all(axis=0)
+            last_new = np.maximum.accumulate(np.where(repeated, -1, index))
+            next_new = np.minimum.accumulate(np.where(repeated, n, index)[::-1])[::-1]
+            replaced_at = np.flatnonzero(
+                repeated & (next_new < n) & (next_new - last_new <= LONGEST_REPEAT + 1)
+            )
+            before, after = last_new[replaced_at], next_new[replaced_at]
+            fraction = (replaced_at - before) / (after - before)
             for axis in group:
-                first = have.rows[axis, low]
-                rows[axis, at] = first + fraction * (have.rows[axis, high] - first)
-                filled[axis, at] = 1
-        done = ImuBatch.of_rows(have.stamps_ns, rows, filled=filled if filled.any() else None)
-        # a run that begins earlier is too long to be interpolated
-        old = max(0, end - LONGEST_REPEAT - 1)
-        self._samples, self._past = have.part(slice(old, None)).copy(), end - old
-        return [done.part(slice(begin, end), have.cut if begin == 0 else '')]
+                first = buffered.rows[axis, before]
+                rows[axis, replaced_at] = first + fraction * (buffered.rows[axis, after] - first)
+                levels[axis, replaced_at] = 1
+        done = ImuBatch.of_rows(buffered.stamps_ns, rows, filled=levels if levels.any() else None)
+        # repeats that begin before these samples are too many to be interpolated
+        first_kept = max(0, end - LONGEST_REPEAT - 1)
+        self._samples, self._past = buffered.part(slice(first_kept, None)).copy(), end - first_kept
+        return [done.part(slice(begin, end), buffered.cut if begin == 0 else '')]

@@ -1,10 +1,10 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Short disturbances, whose samples are replaced: isolated spikes and shocks.
+"""Replaces the samples of short disturbances: isolated spikes and shocks.
 
-An isolated spike is replaced by the mean of its neighbors. A shock is a short motion after which
-all means are as before. The samples of a shock are replaced by a line between these means and
-flagged, so the segment continues. Flagged samples only contribute to long averages.
+An isolated spike is replaced by the mean of its neighbors. A shock is a short motion that does not
+change the mean of any axis. Its samples are replaced by a line between the means before and after
+it, so the segment continues. `ImuBatch.filled` flags replaced samples.
 """
 
 from __future__ import annotations
@@ -18,32 +18,33 @@ from .noise_floor import LEAST_WINDOW, MAD_TO_SIGMA, NoiseFloor, WindowClass, Wi
 
 SPIKE_SIGMAS = 7.0
 """An isolated sample is a spike if it deviates from the mean of its window by more than this number
-of standard deviations of the noise floor. This holds for 1e-10 of the samples of white noise, so
-the variance of white noise changes by less than 1e-8."""
+of standard deviations of the noise floor. Only 1e-10 of the samples of white noise deviate that
+much. If these are replaced, the variance changes by less than the fraction 1e-8."""
 
 SPIKE_NEIGHBORS, NEIGHBOR_RATIO = 4, 0.6
-"""Number of samples before and after a spike that are examined. The spike is isolated if its direct
-neighbors, and all others except one, deviate less than this fraction of the smallest possible
-spike. After a shock, in contrast, several samples deviate."""
+"""Number of samples before and after a spike that are examined, and their largest deviation, as a
+fraction of the smallest possible spike. A spike is isolated if neither of its two direct neighbors,
+and at most one of the other examined samples, deviates more. In a shock, several samples do."""
 
 LONGEST_SHOCK_S = 10.0
 """Longest shock in s."""
 
 LEVEL_WINDOWS, LEAST_LEVEL = 4, 2
-"""Number of windows before and after a motion whose means are compared, and the smallest number."""
+"""Largest and smallest number of windows on each side of a motion whose means are compared."""
 
 LEVEL_SIGMAS = 5.0
-"""Smallest change of a mean, in standard deviations, that is not due to noise."""
+"""Smallest difference between the means before and after a motion, in standard deviations of this
+difference, that is not due to noise."""
 
 TURNED = 0.035
-"""Largest angle in rad (2 degrees) by which an IMU turns during a shock."""
+"""Largest angle in rad (2 degrees) by which an IMU may turn during a shock."""
 
 CHANGED_DIRECTION, NO_ROTATION = np.radians(30.0), np.radians(6.0)
-"""Smallest angle by which gravity turns, and largest angle by which the gyro turns meanwhile, if
-the axes of the sensors have changed."""
+"""Angles in rad. The axes of the sensors have changed if the measured direction of gravity changes
+by more than the first angle, while the gyro measures a rotation by less than the second angle."""
 
 REPLACED_SHOCK_SHARE = 0.5
-"""Largest ratio of replaced samples to samples at rest in a segment."""
+"""Largest ratio of the replaced samples of shocks to the samples at rest in a segment."""
 
 
 def without_spikes(
@@ -59,54 +60,58 @@ def without_spikes(
     rows = block.rows
     windows = Windows.of(rows, size)
     threshold = SPIKE_SIGMAS * np.sqrt(floor.scale)
-    flagged = (windows.peak > threshold[:, None]) & (threshold > 0.0)[:, None]
-    if not flagged.any() or size < LEAST_WINDOW:
+    has_peak = (windows.peak > threshold[:, None]) & (threshold > 0.0)[:, None]
+    if not has_peak.any() or size < LEAST_WINDOW:
         return block, windows, 0
-    axes, at = np.nonzero(flagged)
-    cube = rows.reshape(len(rows), -1, size)[axes, at]
-    level = np.median(cube, axis=1)
-    sigma = MAD_TO_SIGMA * np.median(np.abs(cube - level[:, None]), axis=1)
-    # a higher threshold if the noise exceeds its floor by more than the error of sigma
-    increased = SPIKE_SIGMAS * sigma > (1.0 + 5.0 / np.sqrt(size)) * threshold[axes]
-    height = np.where(increased, SPIKE_SIGMAS * sigma, threshold[axes])
-    far = np.abs(cube - level[:, None]) > height[:, None]
-    few = np.count_nonzero(far, axis=1) <= 1 + size // LEAST_WINDOW  # more than this are a motion
+    axes, window_at = np.nonzero(has_peak)
+    samples = rows.reshape(len(rows), -1, size)[axes, window_at]
+    median = np.median(samples, axis=1)
+    sigma = MAD_TO_SIGMA * np.median(np.abs(samples - median[:, None]), axis=1)
+    # a higher threshold if the noise exceeds the noise floor by more than the error of sigma
+    has_more_noise = SPIKE_SIGMAS * sigma > (1.0 + 5.0 / np.sqrt(size)) * threshold[axes]
+    height = np.where(has_more_noise, SPIKE_SIGMAS * sigma, threshold[axes])
+    deviates = np.abs(samples - median[:, None]) > height[:, None]
+    are_few = np.count_nonzero(deviates, axis=1) <= 1 + size // LEAST_WINDOW  # else it is a motion
     around = np.concatenate([before, rows, after], axis=1)
-    without = rows.copy()
-    found = np.zeros(rows.shape, bool)
-    for n, k in zip(*np.nonzero(far & few[:, None])):
-        axis, i = axes[n], at[n] * size + k
+    cleaned = rows.copy()
+    is_spike = np.zeros(rows.shape, bool)
+    for n, k in zip(*np.nonzero(deviates & are_few[:, None])):
+        axis, i = axes[n], window_at[n] * size + k
         x, j = around[axis], i + before.shape[1]
         first = max(0, j - SPIKE_NEIGHBORS)
-        near = np.abs(x[first : j + SPIKE_NEIGHBORS + 1] - level[n])
-        if _is_isolated(near > NEIGHBOR_RATIO * height[n], j - first):
-            without[axis, i] = 0.5 * (x[j - 1] + x[j + 1])
-            found[axis, i] = True
-    changed = found.any(axis=0).reshape(-1, size).any(axis=1)
+        distance = np.abs(x[first : j + SPIKE_NEIGHBORS + 1] - median[n])
+        if _is_isolated(distance > NEIGHBOR_RATIO * height[n], j - first):
+            cleaned[axis, i] = 0.5 * (x[j - 1] + x[j + 1])
+            is_spike[axis, i] = True
+    changed = is_spike.any(axis=0).reshape(-1, size).any(axis=1)
     if not changed.any():
         return block, windows, 0
-    some = without.reshape(len(rows), -1, size)[:, changed].reshape(len(rows), -1)
-    windows.values[:, :, changed] = Windows.of(some, size).values
-    found[floor.heavy] = False
-    known = 0 if block.filled is None else block.filled
-    filled = np.where(found, 1, known).astype(np.int32)
-    replaced = np.where(found, without, rows)
+    cleaned_windows = cleaned.reshape(len(rows), -1, size)[:, changed].reshape(len(rows), -1)
+    windows.values[:, :, changed] = Windows.of(cleaned_windows, size).values
+    is_spike[floor.heavy] = False
+    levels = 0 if block.filled is None else block.filled
+    filled = np.where(is_spike, 1, levels).astype(np.int32)
+    replaced = np.where(is_spike, cleaned, rows)
     block = ImuBatch.of_rows(block.stamps_ns, replaced, block.cut, filled)
-    return block, windows, int(np.count_nonzero(found))
+    return block, windows, int(np.count_nonzero(is_spike))
 
 
 def _is_isolated(far: Flags, at: int) -> bool:
-    """Return whether the neighbors of ``far[at]`` are not set, and at most one other flag is."""
+    """Return whether a spike is isolated.
+
+    ``far``, (n,), flags samples that deviate, and ``at`` is the index of the spike. It is isolated
+    if its two direct neighbors are not flagged, and at most one other sample is flagged.
+    """
     inside = 0 < at < len(far) - 1
     return inside and not far[at - 1] and not far[at + 1] and int(np.count_nonzero(far)) <= 2
 
 
 class RestLevel:
-    """Mean over the last windows at rest, and number of samples at rest, in a segment."""
+    """Means of the last windows at rest in a segment, and numbers of samples in the segment."""
 
     def __init__(self) -> None:
-        self.rest = self.replaced = 0  # samples
-        # one more than needed: the last window before a motion is not used
+        self.rest = self.replaced = 0  # numbers of samples at rest, and of replaced samples
+        # one more window than is compared: the last window before a motion is not used
         self._means: deque[Floats] = deque(maxlen=LEVEL_WINDOWS + 1)
 
     def add(self, means: Floats, size: int) -> None:
@@ -120,23 +125,27 @@ class RestLevel:
 
 
 class Motion:
-    """A motion that begins at a time in ns.
+    """A motion that begins at the stamp ``began_ns`` in ns, from its windows so far.
 
-    ``level`` is the level of the segment before a shock, or None if it is no shock.
+    ``kind`` is the kind of its `Event`. ``level`` has the means of the segment before the motion,
+    and is None if the motion is known to be no shock.
     """
 
     def __init__(self, kind: str, began_ns: int, level: RestLevel | None = None) -> None:
-        self.kind = kind  # as in `Event`
+        self.kind = kind
         self.began_ns, self.ended_ns = began_ns, began_ns
         self.level = level
-        self.windows = self.quiet = 0  # number of windows, and of quiet ones at the end
+        self.windows = 0  # number of all windows
+        self.quiet = 0  # number of windows at the end that are quiet (see `WindowClass`)
         self.steady = 0  # number of windows at the end that are quiet or only rotating
-        self.axes_changed = False  # of the accelerometer, or their signs
-        # means of the last windows before it
+        # whether the axes of the accelerometer were exchanged, or changed their signs
+        self.axes_changed = False
+        # means of the last windows before the motion, (k, axes)
         self.before = level.before() if level is not None else np.empty((0, 0))
+        # means of the latest windows of the motion, (axes,) each
         self._after: deque[Floats] = deque(maxlen=LEVEL_WINDOWS)
-        self._samples = 0
-        self._total: float | Floats = 0.0  # sum of the samples
+        self._samples = 0  # number of samples
+        self._total: float | Floats = 0.0  # sum of the samples, (axes,)
 
     def add(self, window: ImuBatch, mean: Floats, found: WindowClass) -> None:
         """Add the next window, its mean, (axes,), and its class."""
@@ -150,9 +159,10 @@ class Motion:
         self._total = self._total + len(window) * mean
 
     def change(self, floor: NoiseFloor) -> Floats:
-        """Return the change of the mean of each axis, (axes,): 0 if noise explains it.
+        """Return by how much the motion changed the mean of each axis, (axes,).
 
-        It is NaN if the mean before or after the motion is not known.
+        The change is in the unit of the samples. It is 0 if noise explains it, and NaN if the mean
+        before or after the motion is not known.
         """
         counts = len(self.before), min(self.quiet, len(self._after))
         if min(counts) < LEAST_LEVEL:
@@ -165,10 +175,10 @@ class Motion:
         return np.asarray(np.where(np.abs(change) > limit, change, 0.0))
 
     def finds_other_axes(self, floor: NoiseFloor, period_s: float) -> bool:
-        """Return whether the axes changed, when this is found for the first time.
+        """Return whether this call is the first one that finds changed axes of the sensors.
 
-        They changed if gravity has another direction in the steady windows at the end, although the
-        gyro measured no rotation since the motion began.
+        The axes changed if gravity has another direction in the steady windows at the end than
+        before the motion, although the gyro measured no rotation since the motion began.
         """
         gyro, counts = floor.gyro, (len(self.before), min(self.steady, len(self._after)))
         if self.axes_changed or min(counts) < LEAST_LEVEL:
@@ -184,23 +194,24 @@ class Motion:
         return self.axes_changed
 
     def replaced(self, held: list[ImuBatch], floor: NoiseFloor, period_s: float) -> list[ImuBatch]:
-        """Return the windows with the samples of the shock replaced; empty if it is no shock.
+        """Return the windows of a shock with replaced samples; empty if the motion is no shock.
 
-        ``held`` are its windows and the one before it. All are replaced except the last quiet ones.
+        ``held`` are the last window before the motion and all windows of the motion. The quiet
+        windows at the end, except the first of them, are not replaced.
         """
         if self.level is None or self.change(floor).any():
             return []
-        kept = list(self._after)[1 - self.quiet :]  # windows that are not replaced
-        level = min(len(self.before), len(kept))
-        first, last = (np.mean(w, axis=0) for w in (self.before[-level:], kept[:level]))
+        means_after = list(self._after)[1 - self.quiet :]  # of windows that are not replaced
+        number = min(len(self.before), len(means_after))
+        first, last = (np.mean(w, axis=0) for w in (self.before[-number:], means_after[:number]))
         turned = (self._total - self._samples * first)[floor.gyro] * period_s
         block = joined(held[: 1 - self.quiet])
         n = len(block)
         allowed = REPLACED_SHOCK_SHARE * self.level.rest - self.level.replaced
         if np.linalg.norm(turned) > TURNED or n > allowed:
             return []
-        share = np.arange(1, n + 1) / (n + 1)
-        rows = first[:, None] + (last - first)[:, None] * share
+        fraction = np.arange(1, n + 1) / (n + 1)
+        rows = first[:, None] + (last - first)[:, None] * fraction
         self.level.replaced += n
-        levels = np.full(rows.shape, level * floor.size, np.int32)
+        levels = np.full(rows.shape, number * floor.size, np.int32)
         return [ImuBatch.of_rows(block.stamps_ns, rows, block.cut, levels), *held[1 - self.quiet :]]

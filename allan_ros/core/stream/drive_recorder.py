@@ -17,17 +17,17 @@ from ..imu import AXES, Floats, ImuBatch
 from .drives import REST_S, Drive, DriveErrors, Rest, drive_errors
 
 LEAST_STOP_S = 1.0
-"""Shortest rest at both ends of a drive in s. The mean of the gyro over 1 s has an error of N, and
-a drive of 30 s then has an angle error of 30 N s, five times the angle error due to the noise
-during the drive."""
+"""Shortest duration in s of a rest before or after a drive. The mean of the gyro over a rest of 1 s
+has an error of N / sqrt(1 s). In a drive of 30 s, this causes an angle error of 30 s times
+N / sqrt(1 s), five times the angle error due to the noise during the drive."""
 
 LEAST_DRIVE_S, LONGEST_DRIVE_S = 2.0, 180.0
-"""Duration of drives that are used, in s. For longer ones the errors are not small any more, and a
-state estimator has other aids."""
+"""Shortest and longest duration in s of a drive that is used. The errors of a longer drive are not
+small any more, and a state estimator then uses other sensors as well."""
 
 LONGEST_AHEAD_S = 60.0
-"""Time in s for samples at rest that motion detection has not confirmed yet. A drive is too long if
-the samples after the last one at rest exceed `LONGEST_DRIVE_S` by more than this time."""
+"""Longest time in s until motion detection confirms that samples are at rest. A drive is too long
+if more samples than `LONGEST_DRIVE_S` plus this time follow the last sample at rest."""
 
 MOST_RATE = 200.0
 """Samples are averaged down to at most this rate in Hz before the integration."""
@@ -39,20 +39,22 @@ MOST_DRIVES = 60
 """Number of the latest drives that are kept, about 60 kB each."""
 
 Unused = Literal['short', 'long', 'gap', 'short_rest']
-"""Why a drive is not used: its duration, missing samples, or a rest below `LEAST_STOP_S`."""
+"""Why a drive is not used: the drive is too short or too long, samples of it are missing, or one of
+its rests is shorter than `LEAST_STOP_S`."""
 
 
 class Drives(NamedTuple):
     """Drives of a stream.
 
-    ``errors`` are the latest drives, and ``unused`` is the number of others by reason.
+    ``errors`` are the errors of the latest used drives. ``unused`` maps each reason for which
+    drives are not used to their number.
     """
 
     errors: tuple[DriveErrors, ...] = ()
     unused: Mapping[Unused, int] = MappingProxyType({})
 
     def __add__(self, other: Drives) -> Drives:  # type: ignore[override]
-        """Return the drives of two recordings of one IMU, at most `MOST_DRIVES`."""
+        """Return the drives of two recordings of one IMU, at most the last `MOST_DRIVES`."""
         errors = (*self.errors, *other.errors)[-MOST_DRIVES:]
         return Drives(errors, Counter(self.unused) + Counter(other.unused))
 
@@ -63,10 +65,10 @@ NO_DRIVES = Drives()
 class _Pending(NamedTuple):
     """A drive whose second rest is not complete."""
 
-    start: float  # time in s
+    start: float  # time of the first sample in s
     rows: Floats  # samples, (n, 6)
-    before: Rest
-    follows: bool
+    before: Rest  # the first rest
+    follows: bool  # whether the previous drive ended at the first rest
 
 
 class DriveRecorder:
@@ -81,17 +83,16 @@ class DriveRecorder:
         self._tau0 = tau0
         self._most = min(round((LONGEST_DRIVE_S + LONGEST_AHEAD_S) / tau0), MOST_KEPT)
         self._rest_samples = max(min(round(REST_S / tau0), MOST_KEPT), 1)
-        self._raw: deque[ImuBatch] = deque()  # samples after the last one at rest
+        self._raw: deque[ImuBatch] = deque()  # all samples after the last sample at rest
         self._is_long = False  # whether samples were discarded, because a drive is too long
-        # of the present rest: number of samples, its first and last samples
-        self._at_rest = 0
-        self._first: list[Floats] = []
-        self._last: deque[Floats] = deque()
+        self._at_rest = 0  # number of samples of the present rest
+        self._first: list[Floats] = []  # the first samples of the present rest
+        self._last: deque[Floats] = deque()  # the last samples of the present rest
         self._follows = False  # whether a used drive ended at the present rest
-        self._drive: _Pending | None = None  # whose second rest is not complete
+        self._drive: _Pending | None = None  # the drive before the present rest
 
     def __deepcopy__(self, memo: object) -> DriveRecorder:
-        """Return a recorder that shares the samples with this one: they never change."""
+        """Return a copy that shares the samples with this recorder; samples never change."""
         other = copy.copy(self)
         for name, value in vars(self).items():
             if isinstance(value, (deque, list, Counter)):
@@ -99,11 +100,11 @@ class DriveRecorder:
         return other
 
     def add_samples(self, blocks: Iterable[ImuBatch]) -> None:
-        """Add all evenly spaced samples, before those at rest among them are added."""
+        """Add the next evenly spaced samples, whether at rest or not."""
         self._raw.extend(block for block in blocks if len(block))
 
     def add_rests(self, blocks: Iterable[ImuBatch]) -> None:
-        """Add the samples at rest among those that were added."""
+        """Add the samples at rest, all of which `add_samples` has received before."""
         for block in blocks:
             if not len(block):
                 continue
@@ -133,12 +134,12 @@ class DriveRecorder:
         return Drives(drives, unused)
 
     def _begin_rest(self, block: ImuBatch) -> None:
-        """End the drive before a rest, and the rest before that drive."""
+        """End the previous rest and the drive after it, because ``block`` begins a new rest."""
         self._complete()
-        begin = int(block.stamps_ns[0])
-        rest = self._mean(self._last, latest=True)
-        between, is_split = self._samples_before(begin)
-        seconds = len(between) * self._tau0
+        begin_ns = int(block.stamps_ns[0])
+        first_rest = self._mean(self._last, latest=True)
+        drive_rows, is_split = self._samples_before(begin_ns)
+        seconds = len(drive_rows) * self._tau0
         if self._at_rest and block.cut == 'motion':
             reason: Unused | None = None
             if is_split:
@@ -147,10 +148,12 @@ class DriveRecorder:
                 reason = 'short'
             elif self._is_long or seconds > LONGEST_DRIVE_S:
                 reason = 'long'
-            elif rest is None:
+            elif first_rest is None:
                 reason = 'short_rest'
             else:
-                self._drive = _Pending(begin * 1e-9 - seconds, between, rest, self._follows)
+                self._drive = _Pending(
+                    begin_ns * 1e-9 - seconds, drive_rows, first_rest, self._follows
+                )
             if reason is not None:
                 self._unused[reason] += 1
         self._is_long = self._follows = False
@@ -170,7 +173,7 @@ class DriveRecorder:
             self._complete()
 
     def _complete(self) -> None:
-        """Add the drive whose second rest is over or long enough."""
+        """Add the pending drive, if any, because its second rest is over or long enough."""
         if self._drive is None:
             return
         drive, self._drive = self._drive, None
@@ -182,9 +185,9 @@ class DriveRecorder:
         self._follows = True
 
     def _errors(self, pending: _Pending, after: Rest) -> DriveErrors:
-        """Integrate a drive."""
+        """Return the errors of a drive, from means of samples at `MOST_RATE` or less."""
         rows, k = pending.rows, max(math.ceil(1.0 / (self._tau0 * MOST_RATE) - 1e-9), 1)
-        whole = len(rows) // k * k  # the few samples after it belong to the margin of the rest
+        whole = len(rows) // k * k  # the few remaining samples are in the margin before the rest
         means = rows[:whole].reshape(-1, k, len(AXES)).mean(axis=1)
         gyro, accel, tau0 = means[:, :3], means[:, 3:], k * self._tau0
         before, follows = pending.before, pending.follows
@@ -193,7 +196,7 @@ class DriveRecorder:
     def _mean(self, parts: Iterable[Floats], latest: bool = False) -> Rest | None:
         """Return the means of samples of a rest, or None if the rest is too short.
 
-        With ``latest``, only its last `REST_S` are averaged.
+        With ``latest``, only the last `REST_S` of the samples are averaged.
         """
         rows = np.concatenate([np.empty((0, len(AXES))), *parts])
         rows = rows[-self._rest_samples :] if latest else rows
@@ -204,7 +207,7 @@ class DriveRecorder:
         return Rest(mean[:3], mean[3:], seconds)
 
     def _samples_before(self, stamp: int) -> tuple[Floats, bool]:
-        """Remove the samples before a stamp; return them, (n, 6), and whether there is a gap."""
+        """Remove the samples before a stamp; return them, (n, 6), and whether they have a gap."""
         taken, is_split = [], False
         while self._raw and self._raw[0].stamps_ns[0] < stamp:
             block = self._raw.popleft()

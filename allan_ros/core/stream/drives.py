@@ -36,19 +36,21 @@ EARTH_RATE = 7.292115e-5
 """Rotation rate of the Earth in rad/s (WGS 84). Its direction relative to the sensor is unknown."""
 
 REST_S = 30.0
-"""Longest part of a rest, next to the drive, over which its samples are averaged, in s."""
+"""Longest duration in s of the part of a rest, next to a drive, that is averaged."""
 
 ROWS = 9
 ROTATION, VELOCITY, RATE = slice(0, 3), slice(3, 6), slice(6, 9)
-"""Number of residuals of a drive, and the place of each of the three vectors among them."""
+"""Number of residuals of a drive, and the indices of the three residual vectors."""
 
 SLOW_BLOCKS = 96
-"""Number of blocks into which a drive with its rests is divided for the effect of slow noise."""
+"""Number of blocks into which a drive and its two rests are divided to compute the effect of slow
+noise."""
 
 
 SlowNoise = Callable[[float, ArrayLike], Floats]
-"""Autocovariance of means over M s at a lag of j means, (M, j) -> array, in the squared unit of the
-samples, up to a constant that is the same for all M."""
+"""Function (M, j) -> array that returns the autocovariance of the means of consecutive blocks of M
+s, at a lag of j blocks. It is in the squared unit of the samples, up to a constant that is the same
+for all M."""
 
 
 @dataclass(frozen=True)
@@ -81,9 +83,9 @@ class Drive:
     gyro, accel : (n, 3) array
         Evenly spaced samples in rad/s and m/s^2.
     before, after : Rest
-        The rests at its ends.
+        The rests before and after the drive.
     follows : bool
-        Whether the drive before it ended at the rest ``before``.
+        Whether the previous drive ended at the rest ``before``.
     """
 
     start: float
@@ -104,8 +106,9 @@ class Drive:
 class DriveErrors:
     """Residuals of one drive and the effect of everything that may have caused them.
 
-    The nine residuals are rotation, velocity and rate of the module text. The effect of an error
-    with k numbers is a (9, k) array: residuals per unit of each number. The samples are not kept.
+    The nine residuals are the vectors rotation, velocity and rate of the module text. The effect of
+    an error with k components is a (9, k) array: residuals per unit of each component. The samples
+    are not kept.
 
     Attributes
     ----------
@@ -114,26 +117,28 @@ class DriveErrors:
     turned : float
         Angle by which the sensor turned, summed over the drive, in rad.
     follows : bool
-        Whether the drive before it ended at the first rest.
+        Whether the previous drive ended at the first rest.
     force, end : (3,) array, (3, 3) array
         f1 in m/s^2, and C(T).
     residual : (9,) array
         Residuals in m/s^2 (rotation), m/s (velocity) and rad/s (rate).
     white, rests : (6, 9, 9) array
-        Covariance due to white noise with N = 1 of each axis, during the drive and at the rests.
+        Covariance of the residuals due to white noise with N = 1 of each axis, during the drive and
+        at the rests.
     slow : (blocks, 9, 6) array
-        Weights of the block means of the errors of each axis. The weights of an axis sum to 0: a
-        bias that is constant over drive and rests has its effect in ``accel_bias`` only.
+        Residuals per unit of the mean error of each axis in each block. For each axis, they sum to
+        0 over the blocks, because ``accel_bias`` has the effect of a constant bias.
     block : float
-        Duration of these blocks in s.
+        Duration of a block of ``slow`` in s.
     accel_bias : (9, 3) array
         Effect of the bias of the accelerometer at the first rest.
     gyro_matrix, accel_matrix, g_sensitivity : (9, 9) array
-        Effect of the elements of three matrices, row by row: scale factors and misalignments of the
-        gyro, of the accelerometer (errors are matrix times true value), and the sensitivity of the
-        gyro to specific force, in rad/s per m/s^2.
+        Effect of the elements of three matrices, row by row. The first two contain the scale factor
+        errors and misalignments of the gyro and of the accelerometer: the error of a sensor is its
+        matrix times the true value. The third is the sensitivity of the gyro to specific force, in
+        rad/s per m/s^2.
     earth : (9, 3) array
-        Effect of the rotation rate of the Earth at the first rest.
+        Effect of the rotation rate of the Earth, in the axes of the sensor at the first rest.
     """
 
     start: float
@@ -154,9 +159,10 @@ class DriveErrors:
     earth: Floats
 
     def white_covariances(self, density: Sequence[float]) -> dict[str, Floats]:
-        """Return covariances (9, 9) due to white noise: of 'gyro', 'accel' and at the 'rests'.
+        """Return the covariances of the residuals, (9, 9), due to white noise.
 
-        ``density`` has the N of the six axes in SI.
+        The keys are 'gyro' and 'accel' for the noise of each sensor during the drive, and 'rests'
+        for the noise of both sensors at the rests. ``density`` has the N of the six axes in SI.
         """
         squares = np.square(density)[:, None, None]
         during = squares * self.white
@@ -167,7 +173,7 @@ class DriveErrors:
         }
 
     def slow_covariance(self, axis: int, slow: SlowNoise) -> Floats:
-        """Return the covariance (9, 9) due to noise of an axis that is not white."""
+        """Return the covariance of the residuals, (9, 9), due to the noise ``slow`` of one axis."""
         lags = np.arange(len(self.slow))
         weights, gamma = self.slow[:, :, axis], np.asarray(slow(self.block, lags))
         return np.asarray(weights.T @ gamma[np.abs(lags[:, None] - lags)] @ weights)
@@ -181,7 +187,7 @@ def drive_errors(drive: Drive) -> DriveErrors:
     Parameters
     ----------
     drive : Drive
-        The samples and the rests at both ends.
+        The samples, and the rests before and after the drive.
 
     Returns
     -------
@@ -203,58 +209,67 @@ def drive_errors(drive: Drive) -> DriveErrors:
     """
     rates, force, dt = drive.gyro - drive.before.gyro, drive.accel, drive.tau0
     n, total = len(rates), drive.duration
-    ends = _cumulative_products(rotation_matrices(rates * dt))
-    halves = rotation_matrices(rates * (dt / 2.0))
-    turned = np.concatenate([halves[:1], ends[:-1] @ halves[1:]])  # at the middle of each sample
-    first, last, end = drive.before.accel, drive.after.accel, ends[-1]
-    parts = np.einsum('nij,nj->ni', turned, force)
-    velocity = np.cumsum(parts, axis=0) * dt
+    rotations_after = _cumulative_products(rotation_matrices(rates * dt))
+    half_rotations = rotation_matrices(rates * (dt / 2.0))
+    # C at the middle of each sample
+    rotations = np.concatenate([half_rotations[:1], rotations_after[:-1] @ half_rotations[1:]])
+    first_force, last_force = drive.before.accel, drive.after.accel
+    last_rotation = rotations_after[-1]
+    rotated_force = np.einsum('nij,nj->ni', rotations, force)
+    velocity = np.cumsum(rotated_force, axis=0) * dt
     residual = np.concatenate(
-        [end @ last - first, velocity[-1] - first * total, drive.after.gyro - drive.before.gyro]
+        [
+            last_rotation @ last_force - first_force,
+            velocity[-1] - first_force * total,
+            drive.after.gyro - drive.before.gyro,
+        ]
     )
 
-    # weights of the errors of each sample, and of the means at the rests; the mean of the gyro at
-    # the first rest is subtracted from its samples
-    samples = np.zeros((n, ROWS, 6))
-    rest_of_velocity = velocity[-1] - velocity + parts * (dt / 2.0)
-    samples[:, ROTATION, :3] = -(cross_matrices(end @ last) @ turned) * dt
-    samples[:, VELOCITY, :3] = -(cross_matrices(rest_of_velocity) @ turned) * dt
-    samples[:, VELOCITY, 3:] = turned * dt
-    on_gyro, on_accel = samples[:, :, :3], samples[:, :, 3:]
-    at_first, at_last = np.zeros((ROWS, 6)), np.zeros((ROWS, 6))
-    at_last[ROTATION, 3:], at_last[RATE, :3] = end, np.eye(3)
-    at_first[:, :3] = -on_gyro.sum(axis=0) - at_last[:, :3]
-    at_first[ROTATION, 3:], at_first[VELOCITY, 3:] = -np.eye(3), -total * np.eye(3)
+    # weights are residuals per unit of an error: of each sample, and of the means at both rests;
+    # the mean of the gyro at the first rest is subtracted from the samples of the gyro
+    sample_weights = np.zeros((n, ROWS, 6))
+    remaining_velocity = velocity[-1] - velocity + rotated_force * (dt / 2.0)
+    sample_weights[:, ROTATION, :3] = -(cross_matrices(last_rotation @ last_force) @ rotations) * dt
+    sample_weights[:, VELOCITY, :3] = -(cross_matrices(remaining_velocity) @ rotations) * dt
+    sample_weights[:, VELOCITY, 3:] = rotations * dt
+    gyro_weights, accel_weights = sample_weights[:, :, :3], sample_weights[:, :, 3:]
+    first_weights, last_weights = np.zeros((ROWS, 6)), np.zeros((ROWS, 6))
+    last_weights[ROTATION, 3:], last_weights[RATE, :3] = last_rotation, np.eye(3)
+    first_weights[:, :3] = -gyro_weights.sum(axis=0) - last_weights[:, :3]
+    first_weights[ROTATION, 3:], first_weights[VELOCITY, 3:] = -np.eye(3), -total * np.eye(3)
 
-    bias = on_accel.sum(axis=0) + at_first[:, 3:] + at_last[:, 3:]
-    from_first = at_first.copy()  # errors relative to the mean error of the first rest
-    from_first[:, 3:] -= bias
+    accel_bias = accel_weights.sum(axis=0) + first_weights[:, 3:] + last_weights[:, 3:]
+    # weights of the errors relative to the error of the mean at the first rest
+    change_weights = first_weights.copy()
+    change_weights[:, 3:] -= accel_bias
     blocks = _Blocks.of(drive)
     return DriveErrors(
         start=drive.start,
         duration=total,
         turned=float(np.linalg.norm(rates, axis=1).sum() * dt),
         follows=drive.follows,
-        force=first,
-        end=end,
+        force=first_force,
+        end=last_rotation,
         residual=residual,
-        white=np.einsum('nia,nja->aij', samples, samples, optimize=True) / dt,
-        rests=np.einsum('ia,ja->aij', at_first, at_first) / drive.before.duration
-        + np.einsum('ia,ja->aij', at_last, at_last) / drive.after.duration,
-        slow=blocks.weights(samples, from_first, at_last),
+        white=np.einsum('nia,nja->aij', sample_weights, sample_weights, optimize=True) / dt,
+        rests=np.einsum('ia,ja->aij', first_weights, first_weights) / drive.before.duration
+        + np.einsum('ia,ja->aij', last_weights, last_weights) / drive.after.duration,
+        slow=blocks.weights(sample_weights, change_weights, last_weights),
         block=blocks.duration,
-        accel_bias=bias,
-        gyro_matrix=np.einsum('nij,nk->ijk', on_gyro, rates).reshape(ROWS, 9),
+        accel_bias=accel_bias,
+        gyro_matrix=np.einsum('nij,nk->ijk', gyro_weights, rates).reshape(ROWS, 9),
         accel_matrix=(
-            np.einsum('nij,nk->ijk', on_accel, force)
-            + np.einsum('ij,k->ijk', at_first[:, 3:], first)
-            + np.einsum('ij,k->ijk', at_last[:, 3:], last)
+            np.einsum('nij,nk->ijk', accel_weights, force)
+            + np.einsum('ij,k->ijk', first_weights[:, 3:], first_force)
+            + np.einsum('ij,k->ijk', last_weights[:, 3:], last_force)
         ).reshape(ROWS, 9),
         g_sensitivity=(
-            np.einsum('nij,nk->ijk', on_gyro, force - first)
-            + np.einsum('ij,k->ijk', at_last[:, :3], last - first)
+            np.einsum('nij,nk->ijk', gyro_weights, force - first_force)
+            + np.einsum('ij,k->ijk', last_weights[:, :3], last_force - first_force)
         ).reshape(ROWS, 9),
-        earth=np.einsum('nij,nkj->ik', on_gyro, turned) + at_last[:, :3] @ end.T + at_first[:, :3],
+        earth=np.einsum('nij,nkj->ik', gyro_weights, rotations)
+        + last_weights[:, :3] @ last_rotation.T
+        + first_weights[:, :3],
     )
 
 
@@ -269,15 +284,15 @@ def rotation_matrices(v: Floats) -> Floats:
     """Return the rotation matrices (n, 3, 3) of rotation vectors (n, 3) in rad (Rodrigues)."""
     angle = np.linalg.norm(v, axis=-1)[:, None, None]
     cross = cross_matrices(v)
-    small = angle < 1e-8
-    safe = np.where(small, 1.0, angle)
-    sine = np.where(small, 1.0, np.sin(safe) / safe)
-    cosine = np.where(small, 0.5, (1.0 - np.cos(safe)) / safe**2)
+    is_small = angle < 1e-8
+    divisor = np.where(is_small, 1.0, angle)
+    sine = np.where(is_small, 1.0, np.sin(divisor) / divisor)
+    cosine = np.where(is_small, 0.5, (1.0 - np.cos(divisor)) / divisor**2)
     return np.asarray(np.eye(3) + sine * cross + cosine * (cross @ cross))
 
 
 def _cumulative_products(matrices: Floats) -> Floats:
-    """Return the products of the first k + 1 matrices for all k, in log2(n) vector operations."""
+    """Return the product of the first k + 1 matrices for each k, (n, 3, 3), in log2(n) steps."""
     out, step = matrices.copy(), 1
     while step < len(out):
         out[step:] = out[:-step] @ out[step:]
@@ -288,32 +303,33 @@ def _cumulative_products(matrices: Floats) -> Floats:
 class _Blocks(NamedTuple):
     """Division of a drive and its rests into blocks of equal duration."""
 
-    duration: float  # of a block in s
-    number: int
+    duration: float  # duration of a block in s
+    number: int  # number of blocks
     before: Floats  # share of the first rest in each block
-    inside: NDArray[np.intp]  # block of each sample of the drive
+    inside: NDArray[np.intp]  # index of the block of each sample of the drive, (n,)
     after: Floats  # share of the second rest in each block
 
     @classmethod
     def of(cls, drive: Drive) -> _Blocks:
-        begins = drive.before.duration
-        ends = begins + drive.duration
-        total = ends + drive.after.duration
+        drive_begin = drive.before.duration
+        drive_end = drive_begin + drive.duration
+        total = drive_end + drive.after.duration
         edges = np.linspace(0.0, total, SLOW_BLOCKS + 1)
-        before = np.diff(np.minimum(edges, begins)) / begins
-        after = np.diff(np.maximum(edges, ends)) / drive.after.duration
-        middle = begins + (np.arange(len(drive.gyro)) + 0.5) * drive.tau0
-        inside = np.minimum((middle / edges[1]).astype(np.intp), SLOW_BLOCKS - 1)
+        before = np.diff(np.minimum(edges, drive_begin)) / drive_begin
+        after = np.diff(np.maximum(edges, drive_end)) / drive.after.duration
+        middle_times = drive_begin + (np.arange(len(drive.gyro)) + 0.5) * drive.tau0
+        inside = np.minimum((middle_times / edges[1]).astype(np.intp), SLOW_BLOCKS - 1)
         return cls(float(edges[1]), SLOW_BLOCKS, before, inside, after)
 
     def weights(self, samples: Floats, first: Floats, last: Floats) -> Floats:
-        """Return the weights (blocks, 9, 6) of block means.
+        """Return the residuals per unit of the mean error of each axis in each block.
 
-        ``samples``, (n, 9, 6), are the weights of the samples. ``first`` and ``last``, (9, 6), are
-        the weights of the means at the rests.
+        The result is (blocks, 9, 6). ``samples``, (n, 9, 6), are the residuals per unit of the
+        error of each sample. ``first`` and ``last``, (9, 6), are the residuals per unit of the
+        error of the mean at each rest.
         """
-        starts = np.flatnonzero(np.diff(self.inside, prepend=-1))
+        first_samples = np.flatnonzero(np.diff(self.inside, prepend=-1))
         out = np.zeros((self.number, *first.shape))
-        out[self.inside[starts]] = np.add.reduceat(samples, starts, axis=0)
+        out[self.inside[first_samples]] = np.add.reduceat(samples, first_samples, axis=0)
         out += self.before[:, None, None] * first + self.after[:, None, None] * last
         return out

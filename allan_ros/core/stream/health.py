@@ -24,55 +24,58 @@ Floats = NDArray[np.float64]
 
 State = Literal['waiting', 'learning', 'at_rest', 'moving', 'noise_increased', 'noise_decreased']
 """'waiting': no sample yet. 'learning': sample rate and noise floor are not known yet. 'at_rest':
-the IMU is at rest, and its data are used. 'moving': it moves. 'noise_increased': it is at rest, but
-its noise is larger than the noise floor. 'noise_decreased': the noise of an axis is much smaller
-than the noise floor, or the axis is clipped and was not before."""
+the IMU is at rest, and its data are used. 'moving': the IMU moves. 'noise_increased': the IMU is at
+rest, but its noise is larger than the noise floor. 'noise_decreased': the noise of an axis is much
+smaller than the noise floor, or the axis is clipped and was not before."""
 
 PLAUSIBLE_RATE_HZ = 0.1, 1e5
-"""Sample rates in Hz outside of which the unit of the stamps is probably wrong."""
+"""Range of sample rates in Hz; outside of this range, the unit of the stamps is probably wrong."""
 
 RATE_CHANGE = 0.02
 """Smallest relative difference between two sample periods that is regarded as another rate."""
 
 REPORTED_DROPPED_SHARE = 0.02
 """Smallest share of samples with backward stamps that is reported. If stamps are bursty, the gaps
-after excluded samples cannot be found, and at this share N becomes 1 % too large."""
+that the excluded samples leave cannot be found, and at this share N becomes 1 % too large."""
 
 REPORTED_INTERPOLATED_SHARE = 1e-3
 """Smallest share of interpolated samples that is reported."""
 
 INCREASE_SHARE = 0.5
-"""A finding names the axes whose noise increased by more than this share of the largest ratio."""
+"""A finding about increased noise names the axes whose ratio of noise to noise floor exceeds this
+fraction of the largest ratio of all axes."""
 
 SHORT_S = 60.0
-"""Data shorter than this time in s are reported, because the error of N exceeds a few percent."""
+"""Data shorter than this time in s are reported, because the error of N then exceeds a few
+percent."""
 
 LEAST_SPIKES, LEAST_SPIKE_SHARE = 3, 1e-6
-"""Smallest number of isolated spikes, and smallest share of the samples, that are reported. The
-share in white noise is below 1e-7."""
+"""Smallest number of isolated spikes, and smallest share of spikes among the samples, that are
+reported. The share in white noise is below 1e-7."""
 
 LARGEST_N, LARGEST_REST_RATE = 3e-3, 0.2
 """Angle random walk in rad/s/sqrt(Hz) (10 deg/sqrt(h)) and mean rate at rest in rad/s (11 deg/s)
-above which the unit of a gyro is wrong."""
+above which the declared unit of a gyro is wrong."""
 
 USUAL_N = 3e-4
 """Angle random walk in rad/s/sqrt(Hz) (1 deg/sqrt(h)) of a usual gyro. The unit in which N is
 nearest to this value is the most probable one."""
 
 UNIT_ERROR, LARGEST_ACCEL_RATIO = 0.2, 3.0
-"""Largest relative error of the ratio of noise by which a change of the unit of the gyro is
-recognized, and largest ratio of the noise of the accelerometer meanwhile."""
+"""The unit of the gyro changed if its noise rose by the factor between two units with at most this
+relative error, while the noise of the accelerometer rose by at most the second factor."""
 
 NO_AXES = np.zeros(0)
 
 G_BAND = 0.15
-"""Largest relative difference between gravity and a mean acceleration at rest."""
+"""Largest relative difference from gravity of a mean acceleration that is regarded as gravity."""
 
 SAME_SUMS = 1e-6
-"""Largest relative difference of the Allan sums of two equal axes, which may differ by rounding."""
+"""Largest relative difference between the Allan sums of two equal axes, due to rounding."""
 
 WEIGHTLESS = 0.05
-"""Mean acceleration, as a fraction of gravity in any unit, below which gravity was removed."""
+"""If a mean acceleration at rest is below this fraction of gravity in any unit, gravity was removed
+from the data."""
 
 
 @dataclass
@@ -86,15 +89,15 @@ class Counts:
     """
 
     received: int = 0
-    used: int = 0  # in the sums, including interpolated ones
+    used: int = 0  # samples in the sums, including interpolated samples
     # excluded
-    skipped: int = 0  # in the warm-up time at the start, or of a time that was covered before
+    skipped: int = 0  # in the warm-up time at the start, or in a time that earlier samples cover
     other_frame: int = 0  # with an earlier frame_id whose sums were discarded
-    not_finite: int = 0
+    not_finite: int = 0  # with a value that is NaN, infinite, or too large for any IMU
     duplicate: int = 0  # the stamp and all values repeat the previous sample
     backward: int = 0  # the stamp is earlier than the latest one
-    reordered: int = 0  # kept: arrived after a sample with a later stamp, and sorted
-    untimed: int = 0  # more than a thousand consecutive stamps are equal
+    reordered: int = 0  # not excluded: arrived after a sample with a later stamp, and sorted
+    untimed: int = 0  # while the period is learned, the stamps do not advance often enough
     # missing according to the stamps
     lost: int = 0
     interpolated: int = 0  # lost samples that were interpolated
@@ -102,7 +105,7 @@ class Counts:
     moving: int = 0
     stuck: int = 0  # an axis repeats one value
     noise_increased: int = 0  # at rest, but the noise is much larger than the noise floor
-    noise_decreased: int = 0  # the noise is much smaller than the noise floor, or is clipped
+    noise_decreased: int = 0  # much less noise than the noise floor, or clipped
     spikes: int = 0  # isolated values that were replaced, counted per axis
     shocks: int = 0  # number of shocks
     replaced: int = 0  # part of `used`: samples of shocks, replaced by a line between means
@@ -110,7 +113,7 @@ class Counts:
     splits: Counter[str] = field(default_factory=Counter)
 
     def add(self, other: Counts) -> None:
-        """Add the counts of another stream to these."""
+        """Add the counts of another stream to these counts."""
         for f in fields(self):
             if f.name != 'splits':
                 setattr(self, f.name, getattr(self, f.name) + getattr(other, f.name))
@@ -122,8 +125,8 @@ class Event(NamedTuple):
 
     ``kind`` is 'shock', 'motion', 'stuck' (an axis repeats one value), 'noise_increased' (the noise
     increased at rest) or 'noise_decreased' (the noise of an axis became much smaller, or the axis
-    was clipped). ``changes`` are the changes of the mean of each axis that are larger than its
-    noise, in the unit of the samples; a changed acceleration indicates a tilt.
+    was clipped). ``changes`` maps the axes whose mean changed by more than their noise to this
+    change, in the unit of the samples. A changed mean of the accelerometer indicates a tilt.
     """
 
     kind: str
@@ -135,7 +138,8 @@ class Event(NamedTuple):
 class Segment(NamedTuple):
     """A part of a stream without a gap, which begins at the stamp ``start_ns``.
 
-    ``cut`` is the reason for the gap before it, such as 'gap' or 'motion'; '' for the first one.
+    ``cut`` is the reason for the split before the segment, such as 'gap' or 'motion'; '' for the
+    first segment.
     """
 
     start_ns: SignedInt
@@ -145,7 +149,7 @@ class Segment(NamedTuple):
 
 
 LISTED_EVENTS, LISTED_SEGMENTS = 200, 1000
-"""Largest numbers of events and of segments that are listed; these are the longest ones."""
+"""Largest numbers of events and of segments that are listed; the longest ones are kept."""
 
 
 T = TypeVar('T', Event, Segment)
@@ -156,10 +160,10 @@ class Longest(Generic[T]):
 
     def __init__(self, number: int) -> None:
         self._number = number
-        self._items: list[tuple[float, int, T]] = []  # shortest first
+        self._items: list[tuple[float, int, T]] = []  # (length, -start, item), shortest first
 
     def add(self, length: float, item: T) -> None:
-        """Add an item of this length."""
+        """Add an item, and remove the shortest item if there are too many."""
         insort(self._items, (length, -item.start_ns, item), key=lambda each: each[:2])
         del self._items[: -self._number]
 
@@ -177,21 +181,21 @@ class StreamHealth:
     state: State = 'waiting'
     rate_hz: float | None = None  # None before it is learned
     bursty: bool = False  # whether stamps come in bursts
-    base_rate_hz: float | None = None  # rate without the samples that are missing regularly
+    base_rate_hz: float | None = None  # rate if no samples were missing regularly
     first_ns: int | None = None  # first stamp with the current frame_id
     stamps: str = 'header'  # which stamps are used: 'header' or 'record'
-    frame_id: str = ''  # of the latest sample
-    sums_frame_id: str = ''  # of the sums with the longest elapsed time
+    frame_id: str = ''  # frame_id of the latest sample
+    sums_frame_id: str = ''  # frame_id of the sums with the longest elapsed time
     frame_changes: int = 0
     discarded: int = 0  # how often sums were discarded because another noise floor was learned
-    # axis -> largest ratio of its noise at rest to the noise floor; empty if none increased
+    # axis -> largest ratio of its noise at rest to the noise floor; empty if no noise increased
     largest_increase: Mapping[str, float] = field(default_factory=dict)
-    discarded_s: float = 0.0  # from the start of the discarded sums to the first sample kept
+    discarded_s: float = 0.0  # time in s from the first discarded sample to the first kept one
     # axis with heavy tails -> share of its samples that are outliers
     outliers: Mapping[str, float] = field(default_factory=dict)
     events: tuple[Event, ...] = ()  # shocks, motions and changes of the noise
     dropped_frames: int = 0  # number of frame_ids whose sums were discarded
-    # axis -> smallest ratio of its noise to the noise floor; empty if none decreased much
+    # axis -> smallest ratio of its noise to the noise floor; empty if no noise decreased much
     largest_decrease: Mapping[str, float] = field(default_factory=dict)
     stuck_axes: tuple[str, ...] = ()  # axes that repeated one value
     # axis -> share of its samples at rest that are at the end of the measurement range
@@ -202,7 +206,7 @@ class StreamHealth:
 
     @property
     def still_share(self) -> float | None:
-        """Share of the classified samples that were at rest; None if there are none."""
+        """Share of the classified samples that were at rest; None if no sample was classified."""
         c = self.counts
         classified = c.used + c.moving + c.stuck + c.noise_increased + c.noise_decreased
         return c.used / classified if classified else None
@@ -224,7 +228,7 @@ class Accumulation:
 
 
 KEPT_MEANS = 120
-"""Number of latest means that are kept until they are read."""
+"""Largest number of means that are kept until they are read; the oldest ones are discarded."""
 
 
 class Means(NamedTuple):
@@ -250,8 +254,8 @@ class RunningMeans:
     def cut(self) -> None:
         """Drop the incomplete mean, because a gap follows."""
         self._start_ns: int | None = None
-        self._second = 0  # the incomplete one
-        self._open: list[Floats] = []  # its samples
+        self._second = 0  # index of the incomplete second, counted from `_start_ns`
+        self._open: list[Floats] = []  # samples of the incomplete second
 
     def update(self, stamps: NDArray[np.int64], rows: Floats) -> None:
         """Add samples without a gap: increasing stamps (n,) in ns, values (axes, n)."""
@@ -261,15 +265,15 @@ class RunningMeans:
         if last > self._second:
             end_ns = self._start_ns + np.arange(self._second + 1, last + 1) * NANOSECONDS
             ends = np.searchsorted(stamps, end_ns)
-            first = np.concatenate([*self._open, rows[:, : ends[0]]], axis=1)
+            first_rows = np.concatenate([*self._open, rows[:, : ends[0]]], axis=1)
             # each second is summed at once, so that the rounding does not depend on the batches
-            sums, counts = np.add.reduceat(first, [0], axis=1), np.array([first.shape[1]])
-            some = np.flatnonzero(np.diff(ends))  # none is empty at 1 Hz or more
-            if len(some):
-                later = np.add.reduceat(rows[:, : ends[-1]], ends[some], axis=1)
-                sums = np.concatenate([sums, later], axis=1)
-                counts = np.concatenate([counts, np.diff(ends)[some]])
-            self._keep(np.concatenate([end_ns[:1], end_ns[some + 1]]), (sums / counts).T)
+            sums, counts = np.add.reduceat(first_rows, [0], axis=1), np.array([first_rows.shape[1]])
+            seconds = np.flatnonzero(np.diff(ends))  # later seconds with samples
+            if len(seconds):
+                later_sums = np.add.reduceat(rows[:, : ends[-1]], ends[seconds], axis=1)
+                sums = np.concatenate([sums, later_sums], axis=1)
+                counts = np.concatenate([counts, np.diff(ends)[seconds]])
+            self._keep(np.concatenate([end_ns[:1], end_ns[seconds + 1]]), (sums / counts).T)
             self._second, self._open = last, []
             rows = rows[:, ends[-1] :]
         self._open.append(rows.copy())
@@ -281,7 +285,7 @@ class RunningMeans:
 
 
 def events(health: StreamHealth) -> Counter[str]:
-    """Return the number of events since the start by the id of their finding, causes first."""
+    """Return the number of events since the start for each id of a finding, causes first."""
     c = health.counts
     return Counter(
         clock_jumps=c.splits['clock jump'],
@@ -301,11 +305,15 @@ def event_findings(counts: Counter[str], health: StreamHealth, when: str = '') -
 
     ``when``, such as ' in the last 20 s', is appended to the text of the findings.
     """
-    now: dict[str, Any] = {'frame_id': health.frame_id, 'rate': health.rate_hz or 0.0, 'when': when}
-    present = [id for id in events(health) if counts[id] > 0]
+    numbers: dict[str, Any] = {
+        'frame_id': health.frame_id,
+        'rate': health.rate_hz or 0.0,
+        'when': when,
+    }
+    ids = [id for id in events(health) if counts[id] > 0]
     axes = {'stuck': health.stuck_axes}
     return [
-        finding(id, axes.get(id, ()), count=counts[id], times=counts[id], **now) for id in present
+        finding(id, axes.get(id, ()), count=counts[id], times=counts[id], **numbers) for id in ids
     ]
 
 
@@ -323,27 +331,27 @@ def stream_findings(
     received, used = max(c.received, 1), max(c.used, 1)
     rate = 1.0 / sums[0].tau0 if sums and sums[0].tau0 else health.rate_hz
     declared, base = settings.declared_rate, health.base_rate_hz
-    differs = declared and rate and abs(rate / declared - 1.0) > RATE_CHANGE
+    rate_differs = declared and rate and abs(rate / declared - 1.0) > RATE_CHANGE
     low, high = PLAUSIBLE_RATE_HZ
     add('rate_implausible', rate and not low <= rate <= high, rate=rate)
-    add('rate_differs', differs, measured=rate, declared=declared)
+    add('rate_differs', rate_differs, measured=rate, declared=declared)
     add('frames_dropped', health.dropped_frames, count=health.dropped_frames, samples=c.other_frame)
     add('rate_assumed', base and rate, rate=rate, base=base)
     add('bursty_stamps', health.bursty and rate, rate=rate)
-    kept = 1.0 - c.backward / received
-    mixed = health.bursty and kept < 1.0 - REPORTED_DROPPED_SHARE
-    add('stamps_mixed', mixed, share=1.0 - kept, factor=max(kept, 0.01) ** -0.5)
+    kept_share = 1.0 - c.backward / received
+    are_mixed = health.bursty and kept_share < 1.0 - REPORTED_DROPPED_SHARE
+    add('stamps_mixed', are_mixed, share=1.0 - kept_share, factor=max(kept_share, 0.01) ** -0.5)
     gaps = c.splits['gap']
     add('gaps', gaps, lost=c.lost, splits=gaps)
     share = c.interpolated / received
-    many = share > REPORTED_INTERPOLATED_SHARE
-    add('interpolated', many, interpolated=c.interpolated, share=share)
-    many = c.spikes >= max(LEAST_SPIKES, LEAST_SPIKE_SHARE * c.used)
-    add('spikes', many, count=c.spikes, share=c.spikes / used)
+    are_many = share > REPORTED_INTERPOLATED_SHARE
+    add('interpolated', are_many, interpolated=c.interpolated, share=share)
+    are_many = c.spikes >= max(LEAST_SPIKES, LEAST_SPIKE_SHARE * c.used)
+    add('spikes', are_many, count=c.spikes, share=c.spikes / used)
     for axis, clipped in health.clipped.items():
         add('clipped', clipped, (axis,), share=clipped)
-    heavy = tuple(health.outliers)
-    add('outliers', heavy, heavy, share=max(health.outliers.values(), default=0.0))
+    heavy_axes = tuple(health.outliers)
+    add('outliers', heavy_axes, heavy_axes, share=max(health.outliers.values(), default=0.0))
     shocks = [event for event in health.events if event.kind == 'shock']
     times = _times(shocks, health)
     add('shocks', c.shocks, count=c.shocks, share=c.replaced / used, times=times)
@@ -359,25 +367,27 @@ def stream_findings(
     ratio = max(ratios.values(), default=0.0)
     axes = tuple(axis for axis, r in ratios.items() if r > INCREASE_SHARE * ratio)
     increased = health.rate_hz and c.noise_increased and ratio
-    gyro = tuple(axis for axis in ratios if not _is_accel(axis))
-    others = np.array([ratios[axis] for axis in ratios if axis not in gyro])
-    own = np.array([ratios[axis] for axis in gyro])
-    unit = changed_gyro_unit(own, others) if increased else ''
-    add('gyro_unit_changed', unit, gyro, ratio=ratio, unit=unit)
+    gyro_axes = tuple(axis for axis in ratios if not _is_accel(axis))
+    accel_ratios = np.array([ratios[axis] for axis in ratios if axis not in gyro_axes])
+    gyro_ratios = np.array([ratios[axis] for axis in gyro_axes])
+    unit = changed_gyro_unit(gyro_ratios, accel_ratios) if increased else ''
+    add('gyro_unit_changed', unit, gyro_axes, ratio=ratio, unit=unit)
     seconds = c.noise_increased / rate
     add('noise_increased', increased and not unit, axes, ratio=ratio, seconds=seconds)
     ratios, seconds = health.largest_decrease, c.noise_decreased / rate
     decreased = health.rate_hz and c.noise_decreased and ratios
-    least = min(ratios.values(), default=1.0)
+    smallest_ratio = min(ratios.values(), default=1.0)
     decreased = decreased and all(fault.id != 'noise_decreased' for fault in health.faults)
-    add('noise_decreased', decreased, tuple(ratios), ratio=least, seconds=seconds)
-    never = c.moving and not c.used and health.rate_hz
-    add('never_still', never, seconds=c.moving / rate)
+    add('noise_decreased', decreased, tuple(ratios), ratio=smallest_ratio, seconds=seconds)
+    never_at_rest = c.moving and not c.used and health.rate_hz
+    add('never_still', never_at_rest, seconds=c.moving / rate)
     classified = max(c.moving + c.noise_increased + c.used, 1)
-    add('motion', c.moving and not never, share=c.moving / classified)
+    add('motion', c.moving and not never_at_rest, share=c.moving / classified)
     for each in sums:
-        flat = tuple(np.array(each.axes)[each.sum_sq[0] == 0.0].tolist()) if len(each.m) else ()
-        add('no_noise', flat, flat)
+        axes_without_noise = (
+            tuple(np.array(each.axes)[each.sum_sq[0] == 0.0].tolist()) if len(each.m) else ()
+        )
+        add('no_noise', axes_without_noise, axes_without_noise)
         found += [*_equal_axes(each), *unit_findings(each)]
     add('nothing_left', c.received and not sums, received=c.received)
     return found
@@ -397,10 +407,11 @@ def _times(events: list[Event], health: StreamHealth) -> str:
 
 
 def changed_gyro_unit(gyro: Floats, accel: Floats = NO_AXES) -> str:
-    """Return the unit to which rad/s changed if the noise of the axes rose by these ratios.
+    """Return the unit to which a gyro changed from rad/s, or '' if it did not change.
 
-    The result is '' unless the ratios of the three axes of the gyro agree with a unit, and the
-    noise of the accelerometer, (axes,), has not risen as well.
+    ``gyro`` and ``accel``, (axes,), are the ratios of the noise now to the noise before. The unit
+    changed if the ratios of all three axes of the gyro agree with the factor of a unit, and the
+    noise of the accelerometer has not risen as well.
 
     >>> changed_gyro_unit(np.array([57.0, 58.0, 57.3])), changed_gyro_unit(np.full(3, 9.0))
     ('deg/s', '')
@@ -414,7 +425,7 @@ def changed_gyro_unit(gyro: Floats, accel: Floats = NO_AXES) -> str:
 
 
 def probable_gyro_unit(n: float) -> str:
-    """Return the unit in which a gyro has the usual white noise; ``n`` is N without a unit."""
+    """Return the unit in which the N of a gyro is usual; ``n`` is N in an unknown unit."""
     factors = {unit: UNITS[unit].factor for unit in SAMPLE_UNITS['gyro'][1:]}
     return min(factors, key=lambda unit: abs(math.log(max(n, LARGEST_N) * factors[unit] / USUAL_N)))
 
@@ -426,17 +437,17 @@ def sums_findings(sums: AllanSums) -> list[Finding]:
 
 
 def _equal_axes(sums: AllanSums) -> list[Finding]:
-    """Return a finding for each pair of axes with the same noise: a driver copies one of them."""
+    """Return a finding for each pair of axes with equal Allan sums: a driver copies one axis."""
     if not len(sums.sum_sq):
         return []
-    same = [
+    equal_pairs = [
         (i, j)
         for j in range(len(sums.axes))
         for i in range(j)
         if sums.sum_sq[0, i] > 0.0
         and np.allclose(sums.sum_sq[:, i], sums.sum_sq[:, j], SAME_SUMS, 0.0)
     ]
-    return [finding('axes_equal', (sums.axes[i], sums.axes[j])) for i, j in same]
+    return [finding('axes_equal', (sums.axes[i], sums.axes[j])) for i, j in equal_pairs]
 
 
 def unit_findings(sums: AllanSums) -> list[Finding]:
@@ -445,44 +456,44 @@ def unit_findings(sums: AllanSums) -> list[Finding]:
         return []
     total = np.sum([r.samples * r.mean for r in sums.recordings], axis=0)
     mean = total / max(sums.samples, 1)
-    short = sums.m * sums.tau0 <= 1.0
+    is_short = sums.m * sums.tau0 <= 1.0
     found: list[Finding] = []
     for sensor, place in SENSORS.items():
-        own = [i for i, axis in enumerate(sums.axes) if sensor_of(axis) == sensor]
-        axes = tuple(sums.axes[i] for i in own)
-        if sensor == 'gyro' and own:
-            rate = float(np.abs(mean[own]).max())
-            tau = sums.m[short, None] * sums.tau0
-            level = np.sqrt(sums.avar[short][:, own] * tau)
+        columns = [i for i, axis in enumerate(sums.axes) if sensor_of(axis) == sensor]
+        axes = tuple(sums.axes[i] for i in columns)
+        if sensor == 'gyro' and columns:
+            rate = float(np.abs(mean[columns]).max())
+            tau = sums.m[is_short, None] * sums.tau0
+            level = np.sqrt(sums.avar[is_short][:, columns] * tau)
             n = float(np.median(level.min(axis=0))) if len(tau) else 0.0
             if n > LARGEST_N or rate > LARGEST_REST_RATE:
                 unit = probable_gyro_unit(n)
                 found.append(finding('gyro_unit', axes, n=n, rate=rate, unit=unit))
-        elif len(own) == place.stop - place.start:
-            norm = _norm_at_rest(sums, own)
+        elif len(columns) == place.stop - place.start:
+            norm = _norm_at_rest(sums, columns)
             found += gravity_findings(norm, axes)
     return found
 
 
 def _norm_at_rest(sums: AllanSums, axes: list[int]) -> float:
-    """Return the mean magnitude of the means of some axes, of which each is over one rest.
+    """Return the magnitude of the mean vector of some axes, averaged over all rests.
 
-    The direction of gravity may differ between two rests.
+    Each rest has a mean vector, because the direction of gravity may differ between two rests.
     """
     weights, norms = [], []
-    for one in sums.recordings:
-        for means in one.means:
-            value = means.values[:, axes].mean(axis=0) + one.reference[axes]
+    for recording in sums.recordings:
+        for means in recording.means:
+            value = means.values[:, axes].mean(axis=0) + recording.reference[axes]
             weights.append(float(means.samples))
             norms.append(float(np.linalg.norm(value)))
-        if not one.means:
-            weights.append(float(one.samples))
-            norms.append(float(np.linalg.norm(one.mean[axes])))
+        if not recording.means:
+            weights.append(float(recording.samples))
+            norms.append(float(np.linalg.norm(recording.mean[axes])))
     return float(np.average(norms, weights=weights))
 
 
 def gravity_unit(norm: float) -> str:
-    """Return the unit in which a mean acceleration is gravity; '' if there is none.
+    """Return the unit in which a mean acceleration equals gravity, or '' if there is no such unit.
 
     >>> gravity_unit(9.81), gravity_unit(1.0), gravity_unit(5.0)
     ('m/s^2', 'g', '')
@@ -493,11 +504,15 @@ def gravity_unit(norm: float) -> str:
 
 
 def gravity_findings(norm: float, axes: tuple[str, ...]) -> list[Finding]:
-    """Return a finding if a mean acceleration at rest in m/s^2 can be no gravity, else none."""
+    """Return a finding if a mean acceleration at rest, in m/s^2, differs from gravity.
+
+    There is no finding if it is nearly 0, because gravity may have been removed from the data.
+    """
     if abs(norm / STANDARD_GRAVITY**2 - 1.0) < G_BAND:
-        return [finding('accel_unit', axes, norm=norm, unit='m/s^2')]  # but g was declared
+        # g was declared as the unit, but the samples were in m/s^2
+        return [finding('accel_unit', axes, norm=norm, unit='m/s^2')]
     unit = gravity_unit(norm)
     if unit:
-        known = unit == 'm/s^2'
-        return [] if known else [finding('accel_unit', axes, norm=norm, unit=unit)]
+        is_gravity = unit == 'm/s^2'
+        return [] if is_gravity else [finding('accel_unit', axes, norm=norm, unit=unit)]
     return [finding('accel_scale', axes, norm=norm)] if norm >= WEIGHTLESS else []

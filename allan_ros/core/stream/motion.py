@@ -5,13 +5,14 @@
 Method
 ------
 The stream is classified in windows of about half a second. A window is moving if its variance, its
-largest deviation, the step of its mean or its mean rate exceeds a limit that is derived from the
-noise floor, the noise of the sensor at rest. A window of white noise is classified as moving with a
-probability below 1e-12, so N has no bias. Motion begins at higher limits than it ends (hysteresis).
-Some windows before and after a motion are excluded, too.
+largest deviation, the step of its mean or its mean angular rate exceeds a limit. The limits are
+derived from the noise floor, which is the noise of the sensor at rest. A window of white noise is
+classified as moving with a probability below 1e-12, so N has no bias. Motion begins at higher
+limits than it ends (hysteresis). Some windows before and after a motion are excluded, too.
 
-First, isolated spikes are replaced. If the noise has heavy tails, they are noise: they stay in the
-data and are not regarded as motion. The samples of a shock are replaced, too.
+First, isolated spikes are replaced. On an axis whose noise has heavy tails, isolated large values
+are noise: they stay in the data and are not regarded as motion. The samples of a shock are
+replaced, too.
 
 The noise floor is learned from the first windows in which the IMU can be at rest, and then updated
 from the quietest quarter of each block of windows. If the noise remains different while the IMU is
@@ -51,28 +52,28 @@ WINDOW_S = 0.5
 """Length of a window in s: long enough for a variance, short compared with a motion."""
 
 BLOCK_WINDOWS = 32
-"""Number of windows from which the noise floor is learned, after which it is updated, and in which
-noise must be increased to begin another level. All of them are buffered: 0.15 MB of six axes at 200
-Hz, 15 MB at 20 kHz."""
+"""Number of windows from which the noise floor is learned, after which the noise floor is updated,
+and in all of which the noise must be increased to begin another noise level. These windows are
+buffered: 0.15 MB for six axes at 200 Hz, 15 MB at 20 kHz."""
 
 MOST_WINDOW = 1 << 15
 """Longest window in samples, above 65 kHz: 50 MB of buffered samples."""
 
 CHECKED_WINDOWS = BLOCK_WINDOWS // 4
-"""Number of windows with other noise after which another noise level may begin or continue."""
+"""Number of windows after which a check decides whether another noise level begins or continues."""
 
 ESTABLISHED_S = 45.0
-"""Time in s at rest below which a noise level is not established. If the noise then increases on
-few axes or by less than `SHAKEN_RATIO`, the noise before was due to a fault or to another filter
-setting at the start, and the increased noise is normal at once. A level with clipped samples is
-never established."""
+"""A noise level that has less than this time in s at rest, or clipped samples, is not established.
+If the noise increases after such a level, its noise was due to a fault or to another setting of the
+low-pass filter at the start, and the increased noise is normal at once. This does not hold if the
+noise of at least `MOVING_AXES` axes increases by more than `SHAKEN_RATIO`."""
 
 FAULTY_S = 600.0
-"""Time in s for which decreased noise is regarded as a fault, although it has lasted longer than
-the noise before."""
+"""Time in s for which decreased noise is regarded as a fault, even if it lasts longer than the
+noise before."""
 
 LEAST_FAULTY = 4
-"""Number of latest windows, all not at rest, in which a known fault is searched for."""
+"""Number of latest windows in which known faults are searched for if none of them is at rest."""
 
 MOST_FILLED = 0.1
 """Largest share of interpolated samples in a window that is searched for outliers."""
@@ -82,12 +83,12 @@ class MotionGate:
     """Detects motion, and keeps only the samples at rest.
 
     It divides the samples into windows, removes spikes, and learns the noise floor, with which
-    `RestFilter` decides about each window. After each `CHECKED_WINDOWS`, another noise level begins
-    or continues if it fits better.
+    `RestFilter` decides about each window. After every `CHECKED_WINDOWS` windows, another noise
+    level begins or continues if it fits these windows better than the present level.
     ``period_ns`` is the sample period. A window is moving if its standard deviation is more than
-    ``settings.motion_ratio`` times the noise floor, or if its mean rate differs from the rate
-    at rest by more than ``settings.rate_limit``. ``levels``, ``counts`` (of spikes and splits) and
-    ``events`` are changed in place.
+    ``settings.motion_ratio`` times the noise floor, or if its mean angular rate differs from the
+    rate at rest by more than ``settings.rate_limit``. ``levels``, ``events``, and the numbers of
+    spikes and splits in ``counts`` are changed in place.
     """
 
     def __init__(
@@ -106,17 +107,18 @@ class MotionGate:
         self._period_s = period_ns * 1e-9
         self._rest = RestFilter(self.size, self._period_s, axes, levels, events, counts.splits)
         self._ratios = NoiseRatios(len(axes))
-        self._learning: list[ImuBatch] = []  # buffered until the noise floor is known
-        # buffered until they fill a window, with their look-ahead
+        self._learning: list[ImuBatch] = []  # samples before the noise floor is known
+        # samples that do not fill a window and its look-ahead yet
         self._pending = ImuBatch.empty(len(axes))
-        self._before = self._pending.rows  # the last samples before them
-        self._recent = RecentWindows()  # the latest at this level, at most `BLOCK_WINDOWS`
-        self._former_noise: dict[str, float] = {}  # when this level began
-        self._number = 0  # of windows since the noise floor was learned or updated
+        self._before = self._pending.rows  # the last samples before `_pending`
+        # the latest windows at the present noise level, at most `BLOCK_WINDOWS`
+        self._recent = RecentWindows()
+        self._former_noise: dict[str, float] = {}  # `noise` when the present level began
+        self._number = 0  # number of windows since the noise floor was learned or updated
 
     @property
     def faults(self) -> tuple[Finding, ...]:
-        """Known faults of the latest samples; those at rest can only be clipped."""
+        """Known faults of the latest samples; samples at rest can only be clipped."""
         recent, motion = self._recent.last(LEAST_FAULTY), self._rest.motion
         clipped = self._clipped
         if len(recent) < LEAST_FAULTY or recent.still.any():
@@ -128,44 +130,46 @@ class MotionGate:
 
     @property
     def _clipped(self) -> tuple[Finding, ...]:
-        """A finding for each axis that is clipped now, but not in the result."""
-        present, published = self._levels.present.floor, self._levels.published.floor
-        if present is None or published is None:
+        """A finding for each axis that is clipped now, but not at the published noise level."""
+        floor, published_floor = self._levels.present.floor, self._levels.published.floor
+        if floor is None or published_floor is None:
             return ()
-        recent, shares = self._recent.last(CHECKED_WINDOWS), present.clipped
+        recent, shares = self._recent.last(CHECKED_WINDOWS), floor.clipped
         if len(recent) == CHECKED_WINDOWS:  # else the level has just begun
             shares = clipped_shares(recent.rows)
         return tuple(
             finding('clipped', (axis,), share=share)
-            for axis, share, known in zip(self._axes, shares.tolist(), published.clipped)
-            if share and not known
+            for axis, share, published_share in zip(
+                self._axes, shares.tolist(), published_floor.clipped
+            )
+            if share and not published_share
         )
 
     @property
     def noise(self) -> dict[str, float]:
         """Axis -> present standard deviation of the white noise; empty if the IMU moves.
 
-        It is computed from the differences of neighboring samples in the latest windows. These are
-        at rest, or have larger noise without a motion.
+        It is computed from the differences of neighboring samples in the latest windows, if all of
+        these windows are at rest, or if their noise is larger without a motion.
         """
         recent = self._recent.last(CHECKED_WINDOWS)
         if len(recent) < CHECKED_WINDOWS:  # the level has just begun
             return self._former_noise
         if not recent.still.all():
             floor = self._rest.floor
-            foreign = recent.still.any() or recent.found.foreign.any()
-            if foreign or floor.increase(recent.rows, recent.windows) is None:
+            are_mixed = recent.still.any() or recent.found.foreign.any()
+            if are_mixed or floor.increase(recent.rows, recent.windows) is None:
                 return {}
         return dict(zip(self._axes, recent.white_noise.tolist()))
 
     @property
     def increases(self) -> dict[str, float]:
-        """Axis -> largest ratio of its noise at rest to the noise floor; empty if none."""
+        """Axis -> largest ratio of its noise at rest to the noise floor, for increased noise."""
         return self._named(self._ratios.largest)
 
     @property
     def decreases(self) -> dict[str, float]:
-        """Axis -> smallest ratio of its noise to the noise floor; empty if none decreased."""
+        """Axis -> smallest ratio of its noise to the noise floor, for decreased noise."""
         return self._named(self._ratios.smallest)
 
     def _named(self, ratios: Floats) -> dict[str, float]:
@@ -209,7 +213,7 @@ class MotionGate:
         return self._rest.take()
 
     def flush(self) -> list[ImuBatch]:
-        """Return the buffered blocks that are at rest, at the end of the input."""
+        """Process all buffered samples at the end of the input, and return those at rest."""
         if self._learning:
             self._learn()
         self._flush_pending()
@@ -218,7 +222,7 @@ class MotionGate:
     # --- learning ---------------------------------------------------------------------------------
 
     def _learn(self) -> None:
-        """Learn the noise floor from the first windows, or drop these if the IMU moved."""
+        """Learn the noise floor from the first windows, or exclude them if the IMU moved."""
         parts, self._learning = _without_gaps(self._learning), []
         floor = self._learned_floor(parts)
         if not floor.is_plausible():
@@ -245,13 +249,13 @@ class MotionGate:
         """Classify the complete windows of the buffered samples and the next block."""
         if block.cut:
             self._flush_pending()
-        have = joined([self._pending, block])
-        ready = max(0, len(have) - SPIKE_NEIGHBORS) // self.size * self.size
-        self._classify(have, ready, self.size)
-        self._pending = have.part(slice(ready, None), '' if ready else have.cut).copy()
+        buffered = joined([self._pending, block])
+        ready = max(0, len(buffered) - SPIKE_NEIGHBORS) // self.size * self.size
+        self._classify(buffered, ready, self.size)
+        self._pending = buffered.part(slice(ready, None), '' if ready else buffered.cut).copy()
 
     def _flush_pending(self) -> None:
-        """Classify the buffered samples before a gap, and pass on all that are at rest."""
+        """Classify the buffered samples, because a gap follows, and pass on those at rest."""
         rest, self._pending = self._pending, self._pending.part(slice(0))
         while len(rest) and self._levels.present.floor is not None:
             size = min(len(rest), self.size)
@@ -260,42 +264,45 @@ class MotionGate:
         self._before = self._before[:, :0]
         self._rest.end_segment()
 
-    def _classify(self, have: ImuBatch, samples: int, size: int) -> None:
+    def _classify(self, buffered: ImuBatch, samples: int, size: int) -> None:
         """Classify the first ``samples`` samples, in windows of ``size``.
 
-        All windows up to the end of a block are classified together if they can only be at rest at
-        this level, else those up to the next check, after which the level may be another one.
+        If all windows up to the end of the block of `BLOCK_WINDOWS` are at rest at the present
+        level, they are classified together. Otherwise, only the windows up to the next check are
+        classified together, because the check may begin another level.
         """
-        at = 0
-        while at < samples:
-            ready = (samples - at) // size
+        position = 0
+        while position < samples:
+            ready = (samples - position) // size
             number = min(ready, CHECKED_WINDOWS - self._number % CHECKED_WINDOWS)
-            calm = min(ready, BLOCK_WINDOWS - self._number) if self._is_settled else number
-            if self._rest.motion is not None or not self._pass(have, at, calm, size, calm > number):
-                self._pass(have, at, number, size)
-                calm = number
-            at += calm * size
+            group = min(ready, BLOCK_WINDOWS - self._number) if self._is_settled else number
+            if self._rest.motion is not None or not self._pass(
+                buffered, position, group, size, group > number
+            ):
+                self._pass(buffered, position, number, size)
+                group = number
+            position += group * size
             if size == self.size:
-                self._number += calm
+                self._number += group
                 if self._number % CHECKED_WINDOWS == 0:
                     self._check()
 
     @property
     def _is_settled(self) -> bool:
-        """Whether windows at rest belong to the present level, without a look at another one."""
+        """Whether windows at rest belong to the present level without a check of another level."""
         return self._levels.other is None and bool(self._rest.floor.variance.all())
 
     def _pass(
-        self, have: ImuBatch, at: int, number: int, size: int, only_at_rest: bool = False
+        self, buffered: ImuBatch, at: int, number: int, size: int, only_at_rest: bool = False
     ) -> bool:
-        """Pass windows from sample ``at`` on through the filter.
+        """Pass windows from sample ``at`` on to `RestFilter`, and return whether this was done.
 
-        With ``only_at_rest``, nothing happens and False is returned if some are not at rest, or if
-        other axes are clipped at a check.
+        With ``only_at_rest``, nothing is done if one of the windows is not at rest, or if the
+        clipped axes change.
         """
         end = at + number * size
-        block = have.part(slice(at, end), '' if at else have.cut)
-        after = have.rows[:, end : end + SPIKE_NEIGHBORS]
+        block = buffered.part(slice(at, end), '' if at else buffered.cut)
+        after = buffered.rows[:, end : end + SPIKE_NEIGHBORS]
         clean, windows, spikes = without_spikes(block, size, self._before, after, self._rest.floor)
         if only_at_rest and self._clipping_changes(clean.rows):
             return False
@@ -310,9 +317,9 @@ class MotionGate:
         return True
 
     def _clipping_changes(self, rows: Floats) -> bool:
-        """Return whether other axes are clipped at a check after some of the next samples.
+        """Return whether the clipped axes change in the next samples ``rows``, (axes, n).
 
-        ``rows``, (axes, n), are these samples.
+        Each group of `CHECKED_WINDOWS` windows up to a check is compared with the noise floor.
         """
         before = self._recent.last(self._number % CHECKED_WINDOWS)
         rows = np.concatenate([before.rows, rows], axis=1) if len(before) else rows
@@ -323,11 +330,11 @@ class MotionGate:
     # --- the noise level --------------------------------------------------------------------------
 
     def _check(self) -> None:
-        """Begin or continue another level if it fits the latest windows better; update the floor.
+        """Change the noise level if another one fits the latest windows better; update the floor.
 
-        Changed noise may be the noise of the IMU from now on, or be due to a fault. So it becomes
-        normal when it has lasted longer than the noise before, and, if it decreased, for
-        `FAULTY_S`.
+        Changed noise may be the noise of the IMU from now on, or be due to a fault. It is regarded
+        as normal when it has lasted longer than the noise before, and, if the noise decreased, for
+        at least `FAULTY_S`.
         """
         levels = self._levels
         is_fault = levels.change == 'noise_decreased'
@@ -355,8 +362,8 @@ class MotionGate:
         recent = self._recent.last(CHECKED_WINDOWS)
         rows, windows = recent.rows, recent.windows
         if other is not None and other.floor is not None:
-            nearer = other.floor.is_nearer(floor, rows, windows)
-            if nearer and other.floor.rest(windows).mean() > 0.5:
+            is_nearer = other.floor.is_nearer(floor, rows, windows)
+            if is_nearer and other.floor.rest(windows).mean() > 0.5:
                 self._resume()
                 return True
         if (revived := floor.revived(rows)).any():
@@ -376,50 +383,55 @@ class MotionGate:
         return self._decreases_to(learned, recent) or self._has_increased()
 
     def _change_clipping(self, recent: RecentWindows) -> None:
-        """Begin another level, because other axes are clipped in the latest windows."""
+        """Begin another level, because the clipped axes have changed in the latest windows."""
         floor, learned = self._rest.floor, self._learned_floor(recent.samples)
         clipped, variance = floor.newly_clipped(recent.rows), recent.windows.variance
         if clipped.any():
             flags = np.broadcast_to(clipped[:, None], variance.shape)
             self._ratios.add_decrease(variance, flags, floor.variance)
             self._try(learned, 'noise_decreased')
-        else:  # the samples before were clipped
+        else:  # only the samples before the latest windows were clipped
             self._replace('moving', learned)
 
     def _decreases_to(self, learned: NoiseFloor, recent: RecentWindows) -> bool:
-        """Begin another level if the noise decreased to a floor without a known fault.
+        """Begin another level if the noise decreased without a known fault; return whether it did.
 
-        If the noise before was due to a motion, the level before is discarded.
+        ``learned`` is the noise floor of the latest windows. If the noise before was due to a
+        motion, the present level is discarded.
         """
         floor = self._rest.floor
         decreased = floor.decreased(recent.windows)
         explained = is_stuck(recent.rows, self.size) | recent.found.foreign
-        axes = np.asarray((decreased & ~explained).all(axis=1))
-        if axes.any() and learned.shows_motion(floor, axes):
+        decreased_axes = np.asarray((decreased & ~explained).all(axis=1))
+        if decreased_axes.any() and learned.shows_motion(floor, decreased_axes):
             self._replace('moving', learned)
             return True
-        if decreased.any() and (axes.any() or self._levels.present.counts.noise_decreased):
+        if decreased.any() and (
+            decreased_axes.any() or self._levels.present.counts.noise_decreased
+        ):
             self._ratios.add_decrease(recent.windows.variance, decreased, floor.variance)
-        if axes.any():
+        if decreased_axes.any():
             self._try(learned, 'noise_decreased')
-        return bool(axes.any())
+        return bool(decreased_axes.any())
 
     def _has_increased(self) -> bool:
-        """Begin another level if the noise has been larger for a block of windows."""
+        """Begin another level if the noise has increased in a block; return whether it has."""
         block, floor = self._recent, self._rest.floor
         if len(block) < BLOCK_WINDOWS or not block.can_be_larger_noise:
             return False
         ratio = floor.increase(block.rows, block.windows)
-        # a known fault teaches no noise floor
+        # no noise floor is learned from samples in another unit
         if ratio is None or floor.changed_unit(ratio):
             return False
         self._ratios.add(ratio)
         self._rest.name_motion('noise_increased', BLOCK_WINDOWS * self.size)
-        before = self._levels.published
-        shaken = np.count_nonzero(ratio > SHAKEN_RATIO) >= MOVING_AXES
-        lasted = before.samples * self._period_s >= ESTABLISHED_S and not before.clipped
+        published = self._levels.published
+        is_shaken = np.count_nonzero(ratio > SHAKEN_RATIO) >= MOVING_AXES
+        is_established = (
+            published.samples * self._period_s >= ESTABLISHED_S and not published.clipped
+        )
         self._try(self._learned_floor(block.samples), 'noise_increased')
-        if not (lasted or shaken):
+        if not (is_established or is_shaken):
             self._accept()
         return True
 
@@ -435,14 +447,14 @@ class MotionGate:
         self._rest.name_motion('noise_increased', CHECKED_WINDOWS * self.size)
 
     def _replace(self, reason: Literal['moving', 'stuck'], floor: NoiseFloor) -> None:
-        """Drop the present level, and begin another one."""
+        """Discard the present level, and begin another one."""
         self._rest.end_segment()
         self._levels.replace_present(floor, reason)
         self._ratios.forget()
         self._begin_level('motion' if reason == 'moving' else 'stuck')
 
     def _try(self, floor: NoiseFloor, change: Change) -> None:
-        """Begin another level, whose sums are kept apart."""
+        """Begin another level, whose sums are kept apart until it is accepted."""
         motion = self._rest.motion
         began_ns = motion.began_ns if motion is not None else self._recent.latest_ns
         self._rest.end_segment()
@@ -482,11 +494,11 @@ def _without_gaps(blocks: Iterable[ImuBatch]) -> list[ImuBatch]:
 
 
 def _usable(block: ImuBatch, size: int, chosen: Flags) -> Floats:
-    """Return the chosen windows that do not contain many interpolated samples."""
+    """Return the chosen windows without many interpolated samples, (axes, number * size)."""
     samples = len(chosen) * size
     cube = block.rows[:, :samples].reshape(len(block.rows), -1, size)
     if block.filled is not None:
-        filled = block.filled[:, :samples].reshape(cube.shape) > 0
-        share = filled.mean(axis=2).max(axis=0)
+        is_replaced = block.filled[:, :samples].reshape(cube.shape) > 0
+        share = is_replaced.mean(axis=2).max(axis=0)
         chosen = chosen & (share <= MOST_FILLED)
     return cube[:, chosen].reshape(len(cube), -1)

@@ -1,8 +1,9 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The noise floor: the noise of a sensor at rest, and what short windows of samples tell about it.
+"""The noise floor, which is the noise of a sensor at rest, and the classification of windows.
 
-Windows are classified as at rest or moving.
+The noise floor is learned from short windows of samples. Later windows are compared with the noise
+floor, and classified as at rest or moving.
 """
 
 from __future__ import annotations
@@ -24,41 +25,42 @@ LEAST_WINDOW = 16
 """Shortest window in samples; the variance of fewer samples is not useful."""
 
 QUANTILE = 0.25
-"""The noise floor is this quantile of the variances of the windows. So up to three quarters of the
-windows may contain motion."""
+"""The noise floor is this quantile of the variances of the windows. Therefore, up to three quarters
+of the windows may contain motion."""
 
 MAD_TO_SIGMA = 1.4826
 """Ratio of the standard deviation of a zero-mean normal variable to the median of its absolute
 value."""
 
 FLOOR_GAIN = 0.25
-"""Weight of a new block of still windows when the noise floor is updated."""
+"""Weight of the latest block of windows at rest when the noise floor is updated."""
 
 DECREASE_RATIO = 5.0
 """The noise of an axis decreased if its standard deviation in a window is smaller than the noise
-floor by this factor. Chi-squared with 15 degrees of freedom: 1e-7 of the windows of white noise."""
+floor by more than this factor. Of the shortest windows of white noise, 1e-7 have so small a
+standard deviation (chi-squared with 15 degrees of freedom)."""
 
 SHAKEN_RATIO = 30.0
-"""Ratio of the standard deviations of earlier and later data above which the sensor was shaken
-earlier: fans, motors and settings of the sensor change its noise less."""
+"""Ratio of the standard deviations of an axis at two times above which the sensor was shaken at the
+time of the larger one. Fans, motors and settings of the sensor change the noise less."""
 
 MOVING_AXES = 2
-"""A motion increases the noise of at least this number of axes; a fault may affect a single one."""
+"""A motion increases the noise of at least this number of axes, but a fault may affect only one."""
 
 SAME_GRAVITY = 0.15
-"""Largest relative change of the mean specific force by a motion; a fault or a unit changes it
-more."""
+"""Largest relative change of the magnitude of the mean specific force that a motion causes. A fault
+or a change of the unit causes a larger change."""
 
 GRAVITY_CHANGE = 0.5
-"""Smallest change of the mean specific force in m/s^2 that is no error of a bias."""
+"""Largest change of the magnitude of the mean specific force, in m/s^2, due to a changed bias."""
 
 IDLE_SHARE = 0.4
-"""Share of idle samples in a window from which it does not consist of measurements. A sample is
-idle if all axes of a sensor are zero or repeat the previous sample; of white noise with a standard
-deviation above the resolution on three axes, 2 % are."""
+"""A window with at least this share of idle samples does not consist of measurements. A sample is
+idle if all axes of a sensor are zero or repeat the previous sample. In white noise on three axes
+with a standard deviation above the resolution, 2 % of the samples are idle."""
 
 STUCK_SHARE = 0.75
-"""An axis is stuck in a window if it repeats one value for this share of the window."""
+"""An axis is stuck in a window if it repeats one value for at least this share of the samples."""
 
 ROUNDING_OF_MEANS = 1e-13
 """A standard deviation below this fraction of the mean is a rounding error: no sensor has a
@@ -76,16 +78,18 @@ OUTLIER_MADS = 6.0
 deviations (four standard deviations of white noise)."""
 
 HEAVY_SHARE, LEAST_HEAVY = 5e-3, 3
-"""Noise has heavy tails if this share of the samples, and at least this number, are outliers. The
-share is 5e-5 for white noise, and 7e-3 for a t distribution with five degrees of freedom."""
+"""Noise has heavy tails if at least the first share, and at least the second number, of the samples
+are outliers. The share is 5e-5 for white noise, and 7e-3 for a t distribution with five degrees of
+freedom."""
 
 EXAMINED = 16
-"""One of this number of windows at rest is searched for outliers, to save time."""
+"""To save time, only one in this number of windows at rest is searched for outliers."""
 
 CLIPPED_SHARE, UNCLIPPED = 0.1, 0.25
-"""An axis begins to be clipped at this share of clipped samples. It is no longer clipped if the
-share at its extreme value is below the second fraction of the share when the floor was learned. So
-a share near a limit does not change the level again and again."""
+"""An axis begins to be clipped when at least the first share of its samples is clipped. It is no
+longer clipped when the share of samples at its extreme values is below the second fraction of the
+clipped share in the noise floor. Because of the two limits, a share near one of them does not
+change the noise level again and again."""
 
 INCREASE_RATIO = 1.5
 """Ratio of the standard deviation of an axis to its noise floor above which the noise counts as
@@ -116,9 +120,10 @@ STEP_SIGMAS = 8.0
 indicate motion."""
 
 PLAUSIBLE_DEVIATION, PLAUSIBLE_STEP = (0.1, 1.5), (0.0087, 0.15)
-"""Limits at rest for a gyro (rad/s) and an accelerometer (m/s^2): standard deviation in a window if
-low frequencies dominate, and step between the means of neighboring windows if white noise does not
-explain it. White noise has no limit: a high level is due to a wrong unit, not motion."""
+"""Two limits for the noise at rest, each for a gyro (rad/s) and an accelerometer (m/s^2). The first
+is for the standard deviation in a window if low frequencies dominate the noise. The second is for
+the step between the means of neighboring windows if white noise does not explain this step. White
+noise has no limit, because very large white noise is due to a wrong unit, not to motion."""
 
 
 @dataclass(frozen=True)
@@ -145,7 +150,7 @@ class Windows:
 
     @classmethod
     def joined(cls, parts: Iterable[Windows]) -> Windows:
-        """Concatenate the windows of all parts, at least one."""
+        """Concatenate the windows of at least one part."""
         return cls(np.concatenate([part.values for part in parts], axis=2))
 
 
@@ -156,15 +161,16 @@ def idle_share(rows: Floats, size: int) -> Floats:
     repeat the previous sample.
     """
     number = rows.shape[1] // size
-    first, *others = rows[:, : number * size]
-    repeated, zero = first[1:] == first[:-1], first == 0.0
-    for values in others:
-        if not (np.count_nonzero(repeated) or np.count_nonzero(zero)):  # the common case
+    first, *other_axes = rows[:, : number * size]
+    is_repeated, is_zero = first[1:] == first[:-1], first == 0.0
+    for values in other_axes:
+        # the common case: no sample is idle
+        if not (np.count_nonzero(is_repeated) or np.count_nonzero(is_zero)):
             return np.zeros(number)
-        repeated &= values[1:] == values[:-1]
-        zero &= values == 0.0
-    idle = zero | np.concatenate([[False], repeated])
-    return np.asarray(idle.reshape(-1, size).mean(axis=1))
+        is_repeated &= values[1:] == values[:-1]
+        is_zero &= values == 0.0
+    is_idle = is_zero | np.concatenate([[False], is_repeated])
+    return np.asarray(is_idle.reshape(-1, size).mean(axis=1))
 
 
 def is_stuck(rows: Floats, size: int) -> Flags:
@@ -177,8 +183,8 @@ def is_stuck(rows: Floats, size: int) -> Flags:
     index = np.arange(size)
     changed = np.ones(cube.shape, bool)
     changed[:, :, 1:] = cube[:, :, 1:] != cube[:, :, :-1]
-    run = index - np.maximum.accumulate(np.where(changed, index, 0), axis=2) + 1
-    return np.asarray(run.max(axis=2, initial=0) >= STUCK_SHARE * size)
+    run_lengths = index - np.maximum.accumulate(np.where(changed, index, 0), axis=2) + 1
+    return np.asarray(run_lengths.max(axis=2, initial=0) >= STUCK_SHARE * size)
 
 
 def von_neumann_ratio(parts: Iterable[Floats]) -> Floats:
@@ -198,19 +204,20 @@ def von_neumann_ratio(parts: Iterable[Floats]) -> Floats:
 class WindowClass(NamedTuple):
     """Classification of k windows: arrays of flags, (k,) each."""
 
-    moving: Flags  # in motion, an axis is stuck, or its noise decreased
+    moving: Flags  # in motion, or not at rest because of a stuck axis, less noise or foreign data
     quiet: Flags  # below the limits at which a motion ends
     stuck: Flags  # an axis repeats one value
     decreased: Flags  # the noise of an axis is much smaller than the noise floor
-    foreign: Flags  # no measurements in the units of the noise floor
+    foreign: Flags  # the samples are not measurements in the units of the noise floor
     rotating: Flags  # only the mean angular rate differs from the noise floor
 
 
 class Limits(NamedTuple):
-    """Largest statistics of a window at rest, (axes, 1) each: infinite for an axis without noise.
+    """Largest statistics of a window at rest, (axes, 1) each.
 
     ``step`` is the largest difference between the means of neighboring windows, and ``rate`` the
-    largest difference between the mean of a window and the mean of the noise floor.
+    largest difference between the mean of a window and the mean of the noise floor. For an axis
+    without noise, all except ``rate`` are infinite. For an accelerometer, ``rate`` is infinite.
     """
 
     variance: Floats
@@ -229,16 +236,15 @@ class NoiseFloor:
     size: int
     gyro: Flags  # whether the axis is one of the gyro
     settings: SegmenterSettings
-    variance: Floats  # about the mean of a still window, in the squared unit
+    variance: Floats  # variance in a window at rest, in the squared unit
     step: Floats  # standard deviation of the step between the means of neighboring windows
-    mean: Floats
-    lsb: Floats  # smallest change between two samples: at most the resolution of the sensor
+    mean: Floats  # mean of the samples at rest
+    lsb: Floats  # smallest change between two successive samples other than 0
     ratio: Floats  # von Neumann ratio of the samples
-    clipped: Floats  # share of the samples that are clipped, 0 below `MIN_CLIPPED`
-    windows: Windows  # from which it was learned
-    # outliers among the samples that were searched for them: number of each axis, and of samples
-    outliers: Floats
-    examined: float = 0.0
+    clipped: Floats  # share of the samples that are clipped, or 0 if below `MIN_CLIPPED`
+    windows: Windows  # windows from which the noise floor was learned
+    outliers: Floats  # number of outliers of each axis among the examined samples
+    examined: float = 0.0  # number of samples that were searched for outliers
 
     @classmethod
     def learned(
@@ -247,34 +253,38 @@ class NoiseFloor:
         """Return the noise floor of the first samples; a quarter of them should be at rest.
 
         Each part, (axes, n), is a sequence of samples without a gap. Windows in which an axis
-        repeats one value do not contribute to the noise of this axis, if a quarter of the windows
-        do not repeat it.
+        repeats one value do not contribute to the noise of this axis, if the axis changes in at
+        least a quarter of the windows.
         """
         parts = [rows for rows in parts if rows.shape[1] > 1]
         zero = np.zeros(len(gyro))
         if not parts:
-            none = Windows(np.zeros((3, len(gyro), 0)))
-            nan = zero + np.nan
-            return cls(size, gyro, settings, zero, zero, zero, zero, nan, zero, none, zero)
-        split = [Windows.of(rows, min(size, rows.shape[1])) for rows in parts]
-        windows = Windows.joined(split)
-        step = np.concatenate([np.abs(np.diff(each.mean, axis=1)) for each in split], axis=1)
+            no_windows = Windows(np.zeros((3, len(gyro), 0)))
+            no_ratio = zero + np.nan
+            return cls(
+                size, gyro, settings, zero, zero, zero, zero, no_ratio, zero, no_windows, zero
+            )
+        part_windows = [Windows.of(rows, min(size, rows.shape[1])) for rows in parts]
+        windows = Windows.joined(part_windows)
+        step = np.concatenate([np.abs(np.diff(each.mean, axis=1)) for each in part_windows], axis=1)
         change = np.concatenate([np.abs(np.diff(rows, axis=1)) for rows in parts], axis=1)
         lsb = np.where(change > 0.0, change, np.inf).min(axis=1)
         lsb = np.where(np.isfinite(lsb), lsb, 0.0)
-        stuck = np.concatenate([is_stuck(rows, min(size, rows.shape[1])) for rows in parts], axis=1)
-        always = (stuck.mean(axis=1) > 1.0 - QUANTILE)[:, None]
-        chosen = [
+        stuck_windows = np.concatenate(
+            [is_stuck(rows, min(size, rows.shape[1])) for rows in parts], axis=1
+        )
+        is_mostly_stuck = (stuck_windows.mean(axis=1) > 1.0 - QUANTILE)[:, None]
+        axis_windows = [
             Windows(windows.values[:, [axis]][:, :, flags])
-            for axis, flags in enumerate(~stuck | always)
+            for axis, flags in enumerate(~stuck_windows | is_mostly_stuck)
         ]
         return cls(
             size,
             gyro,
             settings,
-            np.concatenate([_quantile(each.variance, QUANTILE) for each in chosen]),
+            np.concatenate([_quantile(each.variance, QUANTILE) for each in axis_windows]),
             MAD_TO_SIGMA * _quantile(step, 0.5) if step.size else zero,
-            np.concatenate([_quantile(each.mean, 0.5) for each in chosen]),
+            np.concatenate([_quantile(each.mean, 0.5) for each in axis_windows]),
             lsb,
             von_neumann_ratio(parts),
             clipped_shares(np.concatenate(parts, axis=1)),
@@ -284,20 +294,20 @@ class NoiseFloor:
 
     @property
     def heavy(self) -> Flags:
-        """Which axes have heavy tails, (axes,): their single large values are noise, not spikes."""
+        """Which axes have heavy tails, (axes,): isolated large values are noise, not spikes."""
         return np.asarray(self.outliers >= max(LEAST_HEAVY, HEAVY_SHARE * self.examined))
 
     def with_outliers(self, rows: Floats) -> NoiseFloor:
-        """Return the noise floor after the search for outliers in k windows, (axes, k * size)."""
+        """Return a noise floor that also counts the outliers in k windows, (axes, k * size)."""
         if not rows.size:
             return self
         cube = rows.reshape(len(rows), -1, self.size)
-        off = np.abs(cube - _quantile(cube, 0.5)[:, :, None]).reshape(len(rows), -1)
-        # half a resolution more, because the deviations are rounded
-        limit = OUTLIER_MADS * (_quantile(off, 0.5) + 0.5 * self.lsb)
-        found = np.count_nonzero(off > limit[:, None], axis=1)
-        number = self.examined + off.shape[1]
-        return replace(self, outliers=self.outliers + found, examined=number)
+        deviation = np.abs(cube - _quantile(cube, 0.5)[:, :, None]).reshape(len(rows), -1)
+        # plus half the resolution, because the deviations are rounded
+        limit = OUTLIER_MADS * (_quantile(deviation, 0.5) + 0.5 * self.lsb)
+        outliers = np.count_nonzero(deviation > limit[:, None], axis=1)
+        number = self.examined + deviation.shape[1]
+        return replace(self, outliers=self.outliers + outliers, examined=number)
 
     @cached_property
     def scale(self) -> Floats:
@@ -306,20 +316,20 @@ class NoiseFloor:
 
     @property
     def rate_limit(self) -> Floats:
-        """Largest change of the mean at rest, (axes,): infinite for an accelerometer."""
+        """Largest change of a mean at rest, (axes,), in rad/s; infinite for an accelerometer."""
         return np.where(self.gyro, self.settings.rate_limit, np.inf)
 
     def changed_unit(self, ratio: Floats) -> str:
-        """Return the unit of the gyro that explains a ratio of noise, (axes,); '' if none does."""
+        """Return the unit to which the gyro changed, from the ratio of noise, (axes,), or ''."""
         return changed_gyro_unit(ratio[self.gyro], ratio[~self.gyro])
 
     def is_plausible(self) -> bool:
-        """Return whether a sensor at rest can have this noise; if not, it moved."""
-        white = np.sqrt(2.0 / self.size) * np.sqrt(self.scale)
-        colored = self.step > COLORED_STEP * white
-        steps = (self.step > np.where(self.gyro, *PLAUSIBLE_STEP)) & colored
-        large = self.variance > np.where(self.gyro, *PLAUSIBLE_DEVIATION) ** 2
-        return not bool((steps | (large & (self.ratio < LOW_FREQUENCY))).any())
+        """Return whether a sensor at rest can have this noise; if not, the sensor moved."""
+        white_step = np.sqrt(2.0 / self.size) * np.sqrt(self.scale)
+        is_colored = self.step > COLORED_STEP * white_step
+        has_large_steps = (self.step > np.where(self.gyro, *PLAUSIBLE_STEP)) & is_colored
+        has_large_noise = self.variance > np.where(self.gyro, *PLAUSIBLE_DEVIATION) ** 2
+        return not bool((has_large_steps | (has_large_noise & (self.ratio < LOW_FREQUENCY))).any())
 
     @cached_property
     def limits(self) -> Limits:
@@ -328,21 +338,21 @@ class NoiseFloor:
 
     def limits_of(self, size: int) -> Limits:
         """Return the limits of windows of another number of samples."""
-        # infinite for an axis without noise
-        unknown = np.where(self.scale > 0.0, 0.0, np.inf)
+        # added to the limits: infinite for an axis without noise
+        allowance = np.where(self.scale > 0.0, 0.0, np.inf)
         # the variance of few samples is uncertain, so short windows are classified by their peak
-        uncertain = unknown if size >= LEAST_WINDOW else np.full_like(unknown, np.inf)
+        short_allowance = allowance if size >= LEAST_WINDOW else np.full_like(allowance, np.inf)
         sigma = np.sqrt(self.scale)
         step_sigma = np.maximum(np.sqrt(2.0 / size) * sigma, self.step)
         return Limits(
-            (self.settings.motion_ratio**2 * self.scale + uncertain)[:, None],
-            (np.maximum(SHOCK_SIGMAS * sigma, 2.5 * self.lsb) + unknown)[:, None],
-            (STEP_SIGMAS * step_sigma + self.lsb + uncertain)[:, None],
+            (self.settings.motion_ratio**2 * self.scale + short_allowance)[:, None],
+            (np.maximum(SHOCK_SIGMAS * sigma, 2.5 * self.lsb) + allowance)[:, None],
+            (STEP_SIGMAS * step_sigma + self.lsb + short_allowance)[:, None],
             np.maximum(self.rate_limit, STEP_SIGMAS * step_sigma)[:, None],
         )
 
     def rest(self, block: Windows) -> Flags:
-        """Return in which windows the noise is as at this floor, (k,)."""
+        """Return in which windows the noise agrees with this noise floor, (k,)."""
         scale = self.scale[:, None]
         higher = (block.variance > self.settings.motion_ratio**2 * scale) & (scale > 0.0)
         return ~np.asarray((self.decreased(block) | higher).any(axis=0))
@@ -352,9 +362,9 @@ class NoiseFloor:
 
         Below the resolution, the noise of an axis is not known.
         """
-        known = self.variance > self.lsb**2
-        smaller = DECREASE_RATIO**2 * block.variance < self.variance[:, None]
-        return np.asarray(known[:, None] & smaller)
+        is_resolved = self.variance > self.lsb**2
+        is_smaller = DECREASE_RATIO**2 * block.variance < self.variance[:, None]
+        return np.asarray(is_resolved[:, None] & is_smaller)
 
     @cached_property
     def gravity(self) -> float:
@@ -363,7 +373,7 @@ class NoiseFloor:
         return float(np.linalg.norm(self.mean[~self.gyro])) if complete else np.nan
 
     def foreign(self, rows: Floats, windows: Windows, size: int) -> Flags:
-        """Return which windows are no measurements in the units of this floor, (k,).
+        """Return which windows are not measurements in the units of this noise floor, (k,).
 
         In such a window, the magnitude of gravity differs, or samples of a sensor are zero or
         repeated. ``rows``, (axes, k * size), are the samples of windows of ``size`` samples.
@@ -372,22 +382,24 @@ class NoiseFloor:
         for axes in self._known_sensors:
             foreign |= idle_share(rows[axes], size) >= IDLE_SHARE
         if np.isfinite(gravity := self.gravity):
-            now = np.sqrt((windows.mean[~self.gyro] ** 2).sum(axis=0))
-            largest = SAME_GRAVITY * np.maximum(now, gravity)
-            foreign |= np.abs(now - gravity) > np.maximum(GRAVITY_CHANGE, largest)
+            magnitude = np.sqrt((windows.mean[~self.gyro] ** 2).sum(axis=0))
+            largest_change = SAME_GRAVITY * np.maximum(magnitude, gravity)
+            foreign |= np.abs(magnitude - gravity) > np.maximum(GRAVITY_CHANGE, largest_change)
         return np.asarray(foreign)
 
     @cached_property
     def _known_sensors(self) -> list[slice]:
-        """The axes of the sensors with three axes whose noise is above the resolution."""
-        known = self.variance > self.lsb**2
-        return [axes for axes in _complete_sensors(tuple(self.gyro.tolist())) if known[axes].all()]
+        """The axes of each sensor that has three axes, all with noise above the resolution."""
+        is_resolved = self.variance > self.lsb**2
+        return [
+            axes for axes in _complete_sensors(tuple(self.gyro.tolist())) if is_resolved[axes].all()
+        ]
 
     def has_wrong_unit(self, later: NoiseFloor) -> bool:
-        """Return whether this floor has another unit than a later one, which has the right one.
+        """Return whether this noise floor has a wrong unit, and a later one has the right unit.
 
-        Then the later gravity has its magnitude in m/s^2, or the noise of the gyro became smaller
-        as from deg/s or mrad/s to rad/s.
+        This is so if only the later gravity has the magnitude of gravity in m/s^2, or if the noise
+        of the gyro became smaller by the factor from another unit, such as deg/s, to rad/s.
         """
         with np.errstate(invalid='ignore', divide='ignore'):
             if self.changed_unit(np.sqrt(self.variance / later.variance)):
@@ -395,29 +407,30 @@ class NoiseFloor:
         return gravity_unit(later.gravity) == 'm/s^2' != gravity_unit(self.gravity)
 
     def newly_clipped(self, rows: Floats) -> Flags:
-        """Return which axes of samples, (axes, n), are clipped but were not at this floor."""
+        """Return which axes, (axes,), are clipped in samples, (axes, n), but not at this floor."""
         return np.asarray((self.clipped == 0.0) & (clipped_shares(rows) >= CLIPPED_SHARE))
 
     def has_clipping(self, rows: Floats) -> bool:
-        """Return whether the same axes of samples, (axes, n), are clipped as at this floor."""
-        ended = extreme_shares(rows) < UNCLIPPED * self.clipped
-        return not (self.newly_clipped(rows) | ended).any()
+        """Return whether the same axes are clipped in samples, (axes, n), as at this floor."""
+        clipping_ended = extreme_shares(rows) < UNCLIPPED * self.clipped
+        return not (self.newly_clipped(rows) | clipping_ended).any()
 
     def is_nearer(self, other: NoiseFloor, rows: Floats, windows: Windows) -> bool:
-        """Return whether samples, (axes, n), fit this floor better than another one.
+        """Return whether samples, (axes, n), fit this noise floor better than another one.
 
-        ``windows`` are their statistics. If the floors differ in the clipped axes, these decide,
-        and else the noise.
+        ``windows`` are the statistics of the samples. If different axes are clipped at the two
+        floors, the clipped axes of the samples decide. Otherwise, the noise decides.
         """
         if ((self.clipped > 0.0) != (other.clipped > 0.0)).any():
             return self.has_clipping(rows) and not other.has_clipping(rows)
         return self.distance(windows) < other.distance(windows)
 
     def distance(self, windows: Windows) -> float:
-        """Return by how much the noise of windows differs from this floor, as a mean logarithm."""
+        """Return the mean of abs(log(median variance of the windows / variance of this floor))."""
         with np.errstate(invalid='ignore', divide='ignore'):
-            ratio = np.log(_quantile(windows.variance, 0.5) / self.scale)
-        return float(np.abs(ratio[np.isfinite(ratio)]).mean()) if np.isfinite(ratio).any() else 0.0
+            log_ratio = np.log(_quantile(windows.variance, 0.5) / self.scale)
+        log_ratio = log_ratio[np.isfinite(log_ratio)]
+        return float(np.abs(log_ratio).mean()) if len(log_ratio) else 0.0
 
     def revived(self, rows: Floats) -> Flags:
         """Return which axes were constant when the floor was learned and have noise now, (axes,).
@@ -430,12 +443,12 @@ class NoiseFloor:
         return np.asarray(constant)
 
     def shows_motion(self, former: NoiseFloor, axes: Flags) -> bool:
-        """Return whether the sensor moved when the floor ``former`` was learned.
+        """Return whether the sensor moved when the noise floor ``former`` was learned.
 
-        It is judged by this floor of later data, in which the ``axes``, (axes,), have less noise.
-        The sensor moved if the former noise was not stationary, had low frequencies, or was very
-        large, or if the mean rate or the direction of gravity changed. A fault of a few axes, a
-        setting of the sensor, a fan or another unit is no motion.
+        This noise floor is from later data. ``axes``, (axes,), flags the axes with less noise in
+        these data. The sensor moved if the former noise was not stationary, had low frequencies, or
+        was very large, or if the mean rate or the direction of gravity changed. A fault of a few
+        axes, a setting of the sensor, a fan or another unit also changes the noise, without motion.
         """
         axes = axes & (self.variance > former.lsb**2)
         if np.count_nonzero(axes) < MOVING_AXES:
@@ -449,24 +462,25 @@ class NoiseFloor:
             return False
         if np.count_nonzero(axes & (ratio > SHAKEN_RATIO)) >= MOVING_AXES:
             return True
-        rest = former.rest(former.windows)
-        windows = Windows(former.windows.values[:, :, rest])
-        few = np.count_nonzero(rest) < QUANTILE * len(rest)
-        return not (few or self._is_at_rest(windows, former.ratio, axes))
+        at_rest = former.rest(former.windows)
+        windows = Windows(former.windows.values[:, :, at_rest])
+        are_few = np.count_nonzero(at_rest) < QUANTILE * len(at_rest)
+        return not (are_few or self._is_at_rest(windows, former.ratio, axes))
 
     def updated(self, block: Windows, still: Flags, steady: bool) -> NoiseFloor:
         """Return the noise floor updated by a block of k windows.
 
-        ``still``, (k,), flags windows at rest. If these are at least half of the block, their noise
-        and mean are used. If they are fewer, but the block is ``steady``, only the mean is updated:
-        the bias of the gyro changed suddenly, or was learned during a rotation. A block is steady
-        if all windows are at rest, or would be at another bias of the gyro.
+        ``still``, (k,), flags windows at rest. If at least half of the windows are at rest, the
+        noise and the mean are updated from them. If fewer are at rest, but the block is ``steady``,
+        only the mean is updated, because the bias of the gyro changed suddenly, or was learned
+        during a rotation. A block is steady if all windows are at rest, or would be at rest if the
+        gyro had another bias.
         """
         if np.count_nonzero(still) >= len(still) // 2:
-            rest = block if still.all() else Windows(block.values[:, :, still])
-            recent = _quantile(rest.variance, QUANTILE)
-            variance = self.variance + FLOOR_GAIN * (recent - self.variance)
-            return replace(self, variance=variance, mean=_quantile(rest.mean, 0.5))
+            windows_at_rest = block if still.all() else Windows(block.values[:, :, still])
+            recent_variance = _quantile(windows_at_rest.variance, QUANTILE)
+            variance = self.variance + FLOOR_GAIN * (recent_variance - self.variance)
+            return replace(self, variance=variance, mean=_quantile(windows_at_rest.mean, 0.5))
         return replace(self, mean=_quantile(block.mean, 0.5)) if steady else self
 
     def increase(self, rows: Floats, block: Windows) -> Floats | None:
@@ -485,24 +499,25 @@ class NoiseFloor:
         return ratio if self._is_at_rest(block, von_neumann_ratio([rows]), increased) else None
 
     def _is_at_rest(self, block: Windows, spectrum: Floats, increased: Flags) -> bool:
-        """Return whether the sensor is at rest although the noise of some axes increased, (axes,).
+        """Return whether the sensor is at rest although the noise of some axes increased.
 
-        It is at rest if the noise is stationary with a spectrum as broad as the noise floor or
-        white noise, and if neither the mean rate nor the direction of gravity changes. ``block``
-        are the windows, and ``spectrum``, (axes,), is their von Neumann ratio.
+        ``block`` are the windows, ``spectrum``, (axes,), is the von Neumann ratio of their samples,
+        and ``increased``, (axes,), flags the axes. The sensor is at rest if the noise is stationary
+        and has a spectrum as broad as the noise floor or white noise, and if neither the mean rate
+        nor the direction of gravity changes.
         """
         level, scale = _quantile(block.variance, 0.5), self.scale
-        within = block.variance <= INCREASE_SPREAD * level[:, None]
-        within &= INCREASE_SPREAD * block.variance >= level[:, None]
-        if (within[increased].mean(axis=1) < 0.9).any():
+        is_near_median = block.variance <= INCREASE_SPREAD * level[:, None]
+        is_near_median &= INCREASE_SPREAD * block.variance >= level[:, None]
+        if (is_near_median[increased].mean(axis=1) < 0.9).any():
             return False
         smallest_ratio = INCREASE_SPECTRUM * np.fmin(self.ratio, 1.0)
         if (spectrum[increased] < smallest_ratio[increased]).any():
             return False
         sigma = np.sqrt(np.maximum(level, scale))
-        white = np.sqrt(2.0 / self.size) * sigma
+        white_step = np.sqrt(2.0 / self.size) * sigma
         steps = np.abs(np.diff(block.mean, axis=1))
-        largest_step = COLORED_STEP * np.maximum(white, self.step)
+        largest_step = COLORED_STEP * np.maximum(white_step, self.step)
         if (MAD_TO_SIGMA * _quantile(steps, 0.5) > largest_step).any():
             return False
         change = np.abs(_quantile(block.mean, 0.5) - self.mean)
@@ -510,7 +525,7 @@ class NoiseFloor:
         with np.errstate(invalid='ignore', divide='ignore'):
             unit = self.changed_unit(np.sqrt(level / scale))
         rates = np.inf if unit else self.rate_limit
-        allowed = np.where(self.gyro, rates, SAME_DIRECTION * gravity) + white
+        allowed = np.where(self.gyro, rates, SAME_DIRECTION * gravity) + white_step
         return not bool((change > allowed).any())
 
     def classify(
@@ -518,38 +533,39 @@ class NoiseFloor:
     ) -> WindowClass:
         """Classify windows of ``size`` samples by comparing them with the noise floor.
 
-        ``rows``, (axes, k * size), are their samples.
-        ``previous_mean``, (axes,), is the mean of the window before the first; None if there is
-        none.
+        ``rows``, (axes, k * size), are the samples of the windows. ``previous_mean``, (axes,), is
+        the mean of the window before the first window, or None if there is no such window.
         """
         limits = self.limits if size == self.size else self.limits_of(size)
         previous = windows.mean[:, :1] if previous_mean is None else previous_mean[:, None]
         means = np.concatenate([previous, windows.mean], axis=1)
         step = np.abs(means[:, 1:] - means[:, :-1])
-        noisy = windows.variance > LEAVE_RATIO**2 * limits.variance
-        shaken = (windows.peak > limits.peak) | (step > limits.step)
-        rotating = np.abs(windows.mean - self.mean[:, None]) > limits.rate
-        none = np.zeros(windows.mean.shape[1], bool)
-        lower = np.asarray(self.decreased(windows) & (size >= LEAST_WINDOW))
-        foreign = none if size < LEAST_WINDOW else self.foreign(rows, windows, size)
-        if not ((noisy | shaken | rotating | lower).any() or foreign.any()):
+        is_noisy = windows.variance > LEAVE_RATIO**2 * limits.variance
+        is_shaken = (windows.peak > limits.peak) | (step > limits.step)
+        is_rotating = np.abs(windows.mean - self.mean[:, None]) > limits.rate
+        no_flags = np.zeros(windows.mean.shape[1], bool)
+        has_less_noise = np.asarray(self.decreased(windows) & (size >= LEAST_WINDOW))
+        foreign = no_flags if size < LEAST_WINDOW else self.foreign(rows, windows, size)
+        if not ((is_noisy | is_shaken | is_rotating | has_less_noise).any() or foreign.any()):
             return WindowClass(
-                none, ~none, none, none, none, none
+                no_flags, ~no_flags, no_flags, no_flags, no_flags, no_flags
             )  # the common case: an IMU at rest
-        decreased, stuck = np.asarray(lower.any(axis=0)), none
+        decreased, stuck = np.asarray(has_less_noise.any(axis=0)), no_flags
         if decreased.any():
-            stuck = np.asarray((lower & is_stuck(rows, size)).any(axis=0))
-        moving = ((windows.variance > limits.variance) | shaken | rotating).any(axis=0) | decreased
+            stuck = np.asarray((has_less_noise & is_stuck(rows, size)).any(axis=0))
+        moving = ((windows.variance > limits.variance) | is_shaken | is_rotating).any(
+            axis=0
+        ) | decreased
         moving |= foreign
-        disturbed = (noisy | shaken).any(axis=0) | decreased | foreign
-        still_rotating = rotating.any(axis=0) & ~disturbed
+        disturbed = (is_noisy | is_shaken).any(axis=0) | decreased | foreign
+        only_rotating = is_rotating.any(axis=0) & ~disturbed
         quiet = ~(moving | disturbed)
-        return WindowClass(moving, quiet, stuck, decreased, foreign, still_rotating)
+        return WindowClass(moving, quiet, stuck, decreased, foreign, only_rotating)
 
 
 @lru_cache
 def _complete_sensors(gyro: tuple[bool, ...]) -> list[slice]:
-    """Return the axes of the sensors that have three; ``gyro`` flags the axes of the gyro."""
+    """Return the axes of each sensor with three axes; ``gyro`` flags the axes of the gyro."""
     firsts = [i for i, flag in enumerate(gyro) if not i or flag != gyro[i - 1]]
     return [slice(i, i + 3) for i in firsts if gyro.count(gyro[i]) == 3]
 

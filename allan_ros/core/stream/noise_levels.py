@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Levels of the noise at rest: each has its own noise floor, sums and counts.
 
-When the noise changes, a new level begins. At first it is only tried: the sums of the level before
-are still the result, and continue when their noise returns.
+When the noise changes, a new level begins. At first, the new level is only tried: the sums of the
+previous level remain the result, and continue if the previous noise returns.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from .noise_floor import NoiseFloor
 from .sensors import MIN_CLIPPED, Clipping
 
 Change = Literal['noise_decreased', 'noise_increased']
-"""How the noise of a level differs from the level before."""
+"""How the noise of a level differs from the noise of the previous level."""
 
 Excluded = Literal['moving', 'stuck', 'noise_decreased', 'noise_increased']
 """A field of `Counts` for samples that are not in the result."""
@@ -36,7 +36,7 @@ class NoiseRatios:
         self.largest, self.smallest = np.ones(axes), np.ones(axes)
 
     def forget(self) -> None:
-        """Forget the ratios: they were ratios to another noise floor."""
+        """Reset the ratios, because they are ratios to a former noise floor."""
         self.largest[:] = self.smallest[:] = 1.0
 
     def add(self, ratio: Floats) -> None:
@@ -44,11 +44,15 @@ class NoiseRatios:
         self.largest = np.maximum(self.largest, ratio)
 
     def add_decrease(self, variance: Floats, decreased: Flags, floor: Floats) -> None:
-        """Add windows with decreased noise: variances and flags, (axes, k), and the floor."""
-        some = decreased.any(axis=1)
-        level = np.where(decreased, variance, np.nan)[some]
-        ratio = np.sqrt(np.nanmean(level, axis=1) / floor[some])
-        self.smallest[some] = np.minimum(self.smallest[some], ratio)
+        """Add the ratios of k windows with decreased noise.
+
+        ``variance`` and ``decreased``, (axes, k), are the variances and the flags for decreased
+        noise. ``floor``, (axes,), is the variance of the noise floor.
+        """
+        has_decreased = decreased.any(axis=1)
+        variances = np.where(decreased, variance, np.nan)[has_decreased]
+        ratio = np.sqrt(np.nanmean(variances, axis=1) / floor[has_decreased])
+        self.smallest[has_decreased] = np.minimum(self.smallest[has_decreased], ratio)
 
 
 class StreamSums(NamedTuple):
@@ -62,7 +66,7 @@ class NoiseLevel:
     """The samples at rest at one noise level: their sums, segments and counts.
 
     ``floor`` is the noise floor, None before it is known. ``counts`` are the numbers of samples
-    that were used, moving, stuck or of decreased noise since the level began, and of shocks.
+    that were used, moving, stuck or had decreased noise since the level began, and of shocks.
     """
 
     def __init__(
@@ -77,7 +81,7 @@ class NoiseLevel:
         self._replaced = RunningStretches(len(axes))
         self._axes, self._clipping = axes, Clipping(len(axes))
         self._segments: Longest[Segment] = Longest(LISTED_SEGMENTS)
-        self._start_ns, self._cut = 0, ''  # of the segment
+        self._start_ns, self._cut = 0, ''  # of the present segment
 
     @property
     def samples(self) -> int:
@@ -86,23 +90,23 @@ class NoiseLevel:
 
     @property
     def is_examined(self) -> bool:
-        """Whether samples were searched for clipped ones."""
+        """Whether samples were searched for clipped values."""
         return self._clipping.samples > 0
 
     @property
     def clipped(self) -> dict[str, float]:
-        """Axis -> share of its samples that are clipped, if it is at least `MIN_CLIPPED`."""
+        """Axis -> share of its samples that are clipped, for shares of at least `MIN_CLIPPED`."""
         shares = zip(self._axes, self._clipping.shares.tolist())
         return {axis: share for axis, share in shares if share >= MIN_CLIPPED}
 
     @property
     def result(self) -> StreamSums:
-        """The sums and the longest segments."""
+        """The sums and the longest segments of this level."""
         sums = replace(self._engine.sums, replaced=self._replaced.table)
         return StreamSums(sums, self._segments.items)
 
     def add(self, block: ImuBatch) -> None:
-        """Add samples at rest, which follow the previous ones directly if ``cut`` is ''."""
+        """Add samples at rest, which directly follow the previous ones if ``block.cut`` is ''."""
         if block.cut:
             self.close()
         if not len(block):
@@ -121,7 +125,7 @@ class NoiseLevel:
             self.kept.append(block.copy())
 
     def close(self) -> None:
-        """End the segment."""
+        """End the present segment."""
         samples = self._engine.open_samples
         if samples:
             length = (self.last_ns - self._start_ns) * 1e-9
@@ -134,7 +138,7 @@ class NoiseLevel:
         counts = replace(
             self.counts, used=0, shocks=0, replaced=0, splits=self.counts.splits.copy()
         )
-        if excluded in ('moving', 'stuck'):  # decreased noise was nothing but the end of a motion
+        if excluded in ('moving', 'stuck'):  # the noise decreased because a motion ended
             counts.moving, counts.noise_decreased = counts.moving + counts.noise_decreased, 0
         setattr(counts, excluded, getattr(counts, excluded) + self.counts.used)
         return counts
@@ -143,8 +147,9 @@ class NoiseLevel:
 class NoiseLevels:
     """The present noise level of a stream, and another one to which the noise may return.
 
-    ``start`` begins the sums of a level. ``is_tried`` tells whether the present level is only
-    tried, and ``change`` how its noise differs from the other one.
+    ``start`` returns a new level without samples. ``is_tried`` tells whether the present level is
+    only tried, so that the sums of the other level are the result. ``change`` tells how the noise
+    of the present level differs from the noise of the other level.
     """
 
     def __init__(self, start: Callable[[], NoiseLevel]) -> None:
@@ -154,13 +159,12 @@ class NoiseLevels:
         self.is_tried = False
         self.change: Change = 'noise_increased'
         self._began_ns = 0  # when the present level began to be tried
-        self._other_is: Excluded = 'moving'  # what samples of the other level are, if not published
-        self._dropped = Counts()  # of the levels that were discarded
+        self._other_is: Excluded = 'moving'  # how its samples are counted if it is not published
+        self._dropped = Counts()  # counts of the levels that were discarded
         self._drops = 0  # number of levels that were discarded after they were the result
-        self._first_ns: int | None = (
-            None  # first sample of the first level, once another one begins
-        )
-        self._last_ns = 0  # last sample of the level that was discarded last
+        # stamp of the first sample of the first level; None until another level begins
+        self._first_ns: int | None = None
+        self._last_ns = 0  # stamp of the last sample of the level that was discarded last
 
     @property
     def published(self) -> NoiseLevel:
@@ -169,7 +173,7 @@ class NoiseLevels:
 
     @property
     def counts(self) -> Counts:
-        """What became of all samples."""
+        """Counts of the samples of all levels, by what became of them."""
         counts = replace(self._dropped, splits=self._dropped.splits.copy())
         if self.is_tried and self.other is not None:
             counts.add(self.other.counts)
@@ -182,14 +186,14 @@ class NoiseLevels:
 
     @property
     def lost(self) -> int:
-        """How often the result lost the sums so far, because the IMU moved or its noise changed."""
+        """How often the result was replaced, because the IMU had moved or its noise changed."""
         other, present = self.other, self.present
         later = other is not None and not self.is_tried and other.first_ns < present.first_ns
         return self._drops + later
 
     @property
     def lost_s(self) -> float:
-        """Time in s from the first sample at rest to the first one of the result."""
+        """Time in s from the first sample at rest to the first sample of the result."""
         if not self.lost:
             return 0.0
         until = self.published.first_ns if self.published.samples else self._last_ns
@@ -197,13 +201,13 @@ class NoiseLevels:
 
     @property
     def lasts_longer(self) -> bool:
-        """Whether the tried level has more samples than the other one."""
+        """Whether the present level is only tried, but has more samples than the other level."""
         return (
             self.is_tried and self.other is not None and self.present.samples > self.other.samples
         )
 
     def replace_present(self, floor: NoiseFloor, reason: Literal['moving', 'stuck']) -> None:
-        """Begin another level, and drop the present one, which was no noise at rest."""
+        """Discard the present level, which was not noise at rest, and begin another level."""
         if not self.is_tried:
             self._drops += 1
             self._last_ns = self.present.last_ns
@@ -211,7 +215,7 @@ class NoiseLevels:
         self._begin(floor)
 
     def try_another(self, floor: NoiseFloor, change: Change, began_ns: int) -> None:
-        """Begin another level, and keep the one before."""
+        """Begin another level, which is only tried, and keep the level that is the result."""
         if self.is_tried:
             self._dropped.add(self.present.counted_as(self.change))
         else:
@@ -223,7 +227,10 @@ class NoiseLevels:
         self._begin(floor)
 
     def resume(self) -> int | None:
-        """Continue the other level; return since when in ns the present one was tried, or None."""
+        """Continue the other level.
+
+        Returns when, in ns, the present level began if it was only tried, else None.
+        """
         assert self.other is not None
         self.present.close()
         was_tried, self.is_tried = self.is_tried, False
@@ -236,7 +243,7 @@ class NoiseLevels:
         return None
 
     def accept(self) -> None:
-        """Make the present level the result; keep the other one, because its noise may return."""
+        """Make the present level the result; keep the other level, because its noise may return."""
         self.is_tried, self._other_is = False, 'moving'
 
     def _begin(self, floor: NoiseFloor) -> None:

@@ -28,17 +28,18 @@ from .sensors import plan_sensors
 from .timing import LEARN, learned_from
 
 CHECKED = LEARN // 8
-"""Number of samples that are examined at once to find that a fault of the first samples has
+"""Number of samples that are examined together to decide whether a fault of the first samples has
 ended."""
 
 IDLE = ('sensor_all_zero', 'zero_filled', 'held')
 ABSENT = ('sensor_absent', 'axis_absent')
 UNTIMED = ('stamps_missing', 'stamps_unusable', 'stamps_from_rate')
-"""Findings about the first samples: samples of a sensor are zero or repeated, values are not
-numbers, and the stamps are not used. When such a fault ends, the stream begins anew."""
+"""Faults of the first samples that may end later: samples of a sensor are zero or repeated, values
+of a sensor are not numbers, or the stamps are not usable. When such a fault ends, new sensor
+streams begin."""
 
 STILL_IDLE = 0.05
-"""Smallest share of zero or repeated samples that shows that these continue."""
+"""Share of zero or repeated samples below which this fault of the first samples has ended."""
 
 
 class Present(NamedTuple):
@@ -55,11 +56,11 @@ class ImuStream:
     The sums are the same, bit for bit, however the samples are divided into batches: all decisions
     depend only on the positions of samples counted from the start of the stream, with a fixed
     look-ahead. ``hardware_id`` identifies the IMU if the user states it. ``sensor`` is 'gyro' or
-    'accel' if the other sensor is in another stream; its values in this one are ignored.
-    ``with_samples`` also keeps all samples at rest in memory, ``with_drives`` what is needed of the
-    latest drives between two rests. With ``covered``, each time is counted once: samples are
-    skipped if earlier samples cover their time, or if it is in one of these stretches (first and
-    last stamp in ns).
+    'accel' if the other sensor is in another stream; this stream then ignores the values of
+    the other sensor. ``with_samples`` also keeps all samples at rest in memory, and ``with_drives``
+    the errors of the latest drives between two rests. With ``covered``, each time is counted once:
+    samples are excluded if earlier samples cover their time, or if their time is in one of the
+    stretches ``covered``, (first, last) stamp in ns.
     """
 
     def __init__(
@@ -78,8 +79,8 @@ class ImuStream:
         self._frames: dict[str, FrameStream] = {}
         self._present = FrameStream(ImuIdentity('', hardware_id), *self._options)
         self._frame_changes = 0
-        self._ended = False  # since the last sample
-        self._dropped = Counts()  # of frames whose sums were discarded
+        self._ended = False  # whether `end` was called after the last sample
+        self._dropped = Counts()  # counts of frames whose sums were discarded
         self._dropped_frames = 0
 
     def update(self, batch: ImuBatch) -> None:
@@ -105,10 +106,10 @@ class ImuStream:
         return tuple(stream.means for stream in self._present.sensors)
 
     def samples(self) -> dict[str, tuple[Stamps, Floats]]:
-        """Return stamps in ns and values of all samples at rest, (n,), by axis, after `end`.
+        """Return axis -> stamps in ns and values of all samples at rest, (n,) each, after `end`.
 
-        They belong to the frame_id with the most data, since the last change of its rate. The
-        result is empty unless requested.
+        The samples have the frame_id with the most data, and follow the last change of its rate.
+        The result is empty unless ``with_samples`` was set.
         """
         frame = max(self._frames.values(), key=lambda each: each.counts.used, default=self._present)
         whole = [(s.axes, joined(s.kept)) for s in frame.sensors if s.kept]
@@ -119,9 +120,9 @@ class ImuStream:
         }
 
     def drives(self) -> Drives:
-        """Return the latest drives between two rests; empty unless requested.
+        """Return the latest drives between two rests; empty unless ``with_drives`` was set.
 
-        They belong to the frame_id with the most data. There are none if gyro and accelerometer
+        The drives have the frame_id with the most data. There are none if gyro and accelerometer
         have different rates or are in different streams. Before `end`, a drive is complete when its
         second rest is over or long enough.
         """
@@ -163,14 +164,14 @@ class ImuStream:
     def _state_with(self, now: ImuStream) -> Present:
         """Return the present state; ``now`` is the stream as if the input ended here.
 
-        A motion of the first samples is known before their noise floor is.
+        While the noise floor is learned, only ``now`` shows whether the first samples are moving.
         """
         present, after = self._present.present, now._present.present
         is_first = present.state in ('waiting', 'learning')
         return after if is_first and after.state == 'moving' else present
 
     def _add_frame(self, frame_id: str) -> FrameStream:
-        """Start the stream of a new frame_id; of two earlier streams, remove the smaller one."""
+        """Start the stream of a new frame_id; if there are two, first remove the smaller one."""
         if len(self._frames) > 1:
             least = min(self._frames.values(), key=lambda frame: frame.counts.used)
             del self._frames[least.identity.frame_id]
@@ -184,9 +185,9 @@ class ImuStream:
         """Return the sums with the longest elapsed time for each sensor with data."""
         frames = self._frames.values()
         sensors = [sensor for frame in frames for sensor in (*frame.earlier, *frame.sensors)]
-        known = [each for sensor in sensors for each in sensor.by_rate()]
+        results = [each for sensor in sensors for each in sensor.by_rate()]
         best: dict[str, StreamSums] = {}
-        for each in sorted(known, key=lambda each: -each.sums.elapsed_ns):
+        for each in sorted(results, key=lambda each: -each.sums.elapsed_ns):
             for axis in each.sums.axes:
                 best.setdefault(axis, each)
         return tuple({id(best[axis]): best[axis] for axis in AXES if axis in best}.values())
@@ -232,7 +233,7 @@ class ImuStream:
         notes += [finding('interleaved', sensor.axes) for sensor in mixed]
         if clock is not None:  # the stamps became usable later
             notes = [note for note in notes if note.id != 'stamps_missing']
-        # the share of clipped samples is known earlier from the first samples, and better from all
+        # findings from the first samples are replaced when the share of all samples is known
         if any(sensor.is_examined or sensor.lost for sensor in frame.sensors):
             notes = [note for note in notes if note.id != 'clipped']
         found = [*notes, *stream_findings(health, longest, self._settings)]
@@ -244,8 +245,9 @@ class FrameStream:
 
     ``sensors`` has one stream for all axes, or one per sensor if the rates differ. It is empty
     until the first samples are evaluated. ``notes`` are the findings about these first samples. If
-    they have a fault, each `CHECKED` samples are examined before they are processed: when the fault
-    ends, other streams begin, and the streams before are ``earlier``.
+    they have a fault, the next samples are examined, `CHECKED` at a time, before they are
+    processed. When the fault has ended, new sensor streams begin, and the former ones become
+    ``earlier``.
     """
 
     def __init__(
@@ -261,18 +263,18 @@ class FrameStream:
         self._options = settings, with_samples, with_drives
         self.sensors: tuple[SensorStream, ...] = ()
         self.earlier: tuple[SensorStream, ...] = ()
-        self._dropped = Counts()  # of streams before these
+        self._dropped = Counts()  # counts of the streams before `earlier`
         self._faulty: tuple[Finding, ...] = ()  # faults of the first samples, which may end
         self.notes: list[Finding] = []
         self.first_ns: int | None = None
         self.received = 0
         self.stamps = StampChoice(settings.stamps == 'record', settings.declared_rate)
         self._settings = settings
-        self._sensor = sensor  # the only one that is used; '' for both
+        self._sensor = sensor  # the only sensor that is used; '' for both
         self._sorter = StampSorter()
         self._buffer: list[ImuBatch] = []  # samples that are not evaluated yet
         self._skip_ns = round(settings.skip * 1e9)  # 0 once the warm-up time is over
-        self._skipped = 0  # number of samples during this time
+        self._skipped = 0  # number of samples in the warm-up time
         self._covered = None if covered is None else CoveredTime(covered)
 
     @property
@@ -300,7 +302,7 @@ class FrameStream:
 
     @property
     def repeated(self) -> int:
-        """Number of samples of a time that was covered before."""
+        """Number of samples whose time earlier samples cover."""
         return 0 if self._covered is None else self._covered.dropped
 
     @property
@@ -330,7 +332,7 @@ class FrameStream:
             sensor.flush()
 
     def _learn_from(self, batch: ImuBatch) -> ImuBatch:
-        """Buffer samples and learn from exactly as many as are needed; return the others."""
+        """Buffer the first samples until there are enough to learn from; return the others."""
         stamps = [each.stamps_ns for each in (*self._buffer, batch[:LEARN])]
         number = learned_from(np.concatenate(stamps))
         take = min((number or LEARN) - self._buffered, len(batch))
@@ -348,29 +350,29 @@ class FrameStream:
         self.notes += [note for note in (*notes, *findings) if note not in self.notes]
         self._sorter = StampSorter(samples.stamps_ns)
         self.sensors = tuple(SensorStream(plan, self.identity, *self._options) for plan in plans)
-        ended = (*IDLE, *ABSENT, *UNTIMED)
-        self._faulty = tuple(note for note in self.notes if note.id in ended)
+        may_end = (*IDLE, *ABSENT, *UNTIMED)
+        self._faulty = tuple(note for note in self.notes if note.id in may_end)
         self._feed(self._sorter.feed(samples))
 
     def _watch(self, batch: ImuBatch) -> ImuBatch:
-        """Process samples, `CHECKED` at once, until a fault of the first ones has ended.
+        """Process samples, `CHECKED` at a time, until a fault of the first samples has ended.
 
-        Returns the samples after that.
+        Returns the samples that are not processed or buffered yet.
         """
-        have, self._buffer = joined([*self._buffer, batch], copy=True), []
-        for at in range(0, len(have) - CHECKED + 1, CHECKED):
-            group = have.part(slice(at, at + CHECKED))
+        buffered, self._buffer = joined([*self._buffer, batch], copy=True), []
+        for at in range(0, len(buffered) - CHECKED + 1, CHECKED):
+            group = buffered.part(slice(at, at + CHECKED))
             if any(self._has_ended(note, group) for note in self._faulty):
-                self._feed(self._sorter.feed(self.stamps.of(have.part(slice(at)))))
+                self._feed(self._sorter.feed(self.stamps.of(buffered.part(slice(at)))))
                 self._start_again(group)
-                return have.part(slice(at + CHECKED, None))
-        rest = len(have) // CHECKED * CHECKED
-        self._feed(self._sorter.feed(self.stamps.of(have.part(slice(rest)))))
-        self._buffer = [have.part(slice(rest, None)).copy()]
+                return buffered.part(slice(at + CHECKED, None))
+        processed = len(buffered) // CHECKED * CHECKED
+        self._feed(self._sorter.feed(self.stamps.of(buffered.part(slice(processed)))))
+        self._buffer = [buffered.part(slice(processed, None)).copy()]
         return batch[:0]
 
     def _has_ended(self, note: Finding, samples: ImuBatch) -> bool:
-        """Return whether a fault of the first samples is no longer found in these."""
+        """Return whether a fault of the first samples is no longer found in ``samples``."""
         if note.id in UNTIMED:
             return are_ordered(samples)
         rows = samples.rows[[AXES.index(axis) for axis in note.axes]]
@@ -386,7 +388,7 @@ class FrameStream:
         self._buffer = []
 
     def _start_again(self, samples: ImuBatch) -> None:
-        """Evaluate the next samples like the first ones; the streams so far have ended."""
+        """End the present sensor streams, and begin to learn new ones from ``samples``."""
         self._feed(self._sorter.flush())
         for sensor in self.sensors:
             sensor.flush()
@@ -405,9 +407,9 @@ class FrameStream:
         if self.first_ns is None:
             self.first_ns = int(samples.stamps_ns[0])
         if self._skip_ns:
-            late = samples.stamps_ns >= self.first_ns + self._skip_ns
-            start = int(np.argmax(late)) if late.any() else len(samples)
-            self._skip_ns *= not late.any()
+            is_used = samples.stamps_ns >= self.first_ns + self._skip_ns
+            start = int(np.argmax(is_used)) if is_used.any() else len(samples)
+            self._skip_ns *= not is_used.any()
             self._skipped += start
             samples = samples.part(slice(start, None))
         for sensor in self.sensors:

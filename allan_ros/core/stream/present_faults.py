@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Names what is wrong with the latest samples: known faults, and noise larger than before."""
+"""Finds known faults of the latest samples, and noise that is larger than before."""
 
 from __future__ import annotations
 
@@ -17,11 +17,12 @@ from .sensors import zeros_and_repeats
 
 STEADY_CHANGE = 0.1
 """Largest step between the means of neighboring windows, and largest standard deviation in a
-window, as a fraction of gravity, at which the magnitude of the mean acceleration is judged."""
+window, as fractions of the mean acceleration, at which its magnitude is compared with gravity."""
 
 LARGER_NOISE = 1.3
-"""Ratio of the present standard deviation to the Allan deviation from which the noise is larger.
-The former has an error of 4 % with 8 windows of 50 samples, 8 % with 8 windows of 16 samples."""
+"""Ratio of the present standard deviation to the Allan deviation at one sample period above which
+the noise is reported as larger. The present standard deviation has an error of 4 % from 8 windows
+of 50 samples, and of 8 % from 8 windows of 16 samples."""
 
 
 def present_faults(
@@ -34,9 +35,9 @@ def present_faults(
     """
     found: list[Finding] = []
     for sensor in SENSORS:
-        own = [i for i, axis in enumerate(axes) if sensor_of(axis) == sensor]
-        if own and (floor.foreign(rows, windows, floor.size)).all():
-            found += zeros_and_repeats(sensor, tuple(axes[i] for i in own), rows[own])
+        columns = [i for i, axis in enumerate(axes) if sensor_of(axis) == sensor]
+        if columns and (floor.foreign(rows, windows, floor.size)).all():
+            found += zeros_and_repeats(sensor, tuple(axes[i] for i in columns), rows[columns])
     variance = np.median(windows.variance, axis=1)
     with np.errstate(invalid='ignore', divide='ignore'):
         ratio = np.sqrt(variance / floor.scale)
@@ -48,16 +49,18 @@ def present_faults(
     accel = tuple(axis for axis in axes if sensor_of(axis) == 'accel')
     if not found and len(accel) == 3:
         found += _gravity(accel, floor, windows, variance[~floor.gyro])
-    quiet = np.asarray((floor.decreased(windows) & ~is_stuck(rows, floor.size)).all(axis=1))
-    if not found and quiet.any():
-        least = float(np.sqrt(variance[quiet] / floor.variance[quiet]).min())
-        named = tuple(axis for axis, flag in zip(axes, quiet) if flag)
-        found.append(finding('noise_decreased', named, ratio=least, seconds=seconds))
+    has_decreased = np.asarray((floor.decreased(windows) & ~is_stuck(rows, floor.size)).all(axis=1))
+    if not found and has_decreased.any():
+        smallest_ratio = float(
+            np.sqrt(variance[has_decreased] / floor.variance[has_decreased]).min()
+        )
+        names = tuple(axis for axis, flag in zip(axes, has_decreased) if flag)
+        found.append(finding('noise_decreased', names, ratio=smallest_ratio, seconds=seconds))
     return tuple(found)
 
 
 def noise_now(health: StreamHealth, sums: Iterable[AllanSums]) -> list[Finding]:
-    """Return a finding for each axis whose noise now is larger than the noise in the Allan sums."""
+    """Return a finding for each axis whose present noise is larger than in the Allan sums."""
     found = []
     for each in sums:
         for axis, avar in zip(each.axes, each.avar[0] if len(each.m) else ()):
@@ -68,7 +71,7 @@ def noise_now(health: StreamHealth, sums: Iterable[AllanSums]) -> list[Finding]:
 
 
 def noise_ratios(findings: Iterable[Finding]) -> dict[str, float]:
-    """Return the ratio of the present noise to the Allan sums of each axis, from `noise_now`."""
+    """Return axis -> ratio of the present noise to the Allan sums, from findings of `noise_now`."""
     return {f.axes[0]: float(f.values['ratio']) for f in findings if f.id == 'noise_now'}
 
 
@@ -77,14 +80,18 @@ def _gravity(
 ) -> list[Finding]:
     """Return a finding if the specific force at rest is no longer gravity in m/s^2."""
     means = windows.mean[~floor.gyro]
-    norm, known = float(np.linalg.norm(means.mean(axis=1))), floor.gravity
+    norm, gravity = float(np.linalg.norm(means.mean(axis=1))), floor.gravity
     weightless = WEIGHTLESS * STANDARD_GRAVITY
-    largest = STEADY_CHANGE * max(norm, weightless)
+    largest_change = STEADY_CHANGE * max(norm, weightless)
     steps = np.abs(np.diff(means, axis=1)).max(initial=0.0)
-    if steps > largest or np.sqrt(variance).max() > largest or gravity_unit(known) != 'm/s^2':
+    if (
+        steps > largest_change
+        or np.sqrt(variance).max() > largest_change
+        or gravity_unit(gravity) != 'm/s^2'
+    ):
         return []
-    if abs(norm - known) < SAME_GRAVITY * known:
+    if abs(norm - gravity) < SAME_GRAVITY * gravity:
         return []
     if norm < weightless and not gravity_unit(norm):
-        return [finding('gravity_removed', accel, norm=norm, before=known)]
+        return [finding('gravity_removed', accel, norm=norm, before=gravity)]
     return gravity_findings(norm, accel)

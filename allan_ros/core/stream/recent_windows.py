@@ -21,7 +21,7 @@ class WindowPart(NamedTuple):
     found: WindowClass
 
     def last(self, number: int) -> WindowPart:
-        """Return the last windows; ``number`` is at most the number of all windows."""
+        """Return the last ``number`` windows, at most all windows."""
         first = len(self.still) - number
         size = len(self.samples) // len(self.still)
         return WindowPart(
@@ -42,11 +42,11 @@ class RecentWindows:
         return sum(len(part.still) for part in self._parts)
 
     def with_part(self, part: WindowPart, most: int) -> RecentWindows:
-        """Return the windows with another part after them, at most the last ``most``."""
+        """Return the last windows, at most ``most``, after ``part`` was appended."""
         return RecentWindows((*self._parts, part)).last(most)
 
     def last(self, number: int) -> RecentWindows:
-        """Return the last windows, or all if there are not so many."""
+        """Return the last ``number`` windows, or all windows if there are fewer."""
         parts: list[WindowPart] = []
         for part in reversed(self._parts):
             if number <= 0:
@@ -82,13 +82,13 @@ class RecentWindows:
 
     @property
     def can_be_larger_noise(self) -> bool:
-        """Whether no window is at rest, has decreased noise, or is no measurement."""
+        """Whether the noise may be larger: no window is at rest, has less noise, or is foreign."""
         found = self.found
         return not (self.still | found.decreased | found.foreign).any()
 
     @property
     def is_steady(self) -> bool:
-        """Whether all windows are at rest, or would be at another bias of the gyro."""
+        """Whether all windows are at rest, or would be if the gyro had another bias."""
         found = self.found
         return bool((found.quiet | found.rotating).all())
 

@@ -1,9 +1,9 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Passes on the windows of an IMU at rest, drops the others with a margin, and replaces shocks.
+"""Passes on the windows of an IMU at rest, excludes motions with a margin, and replaces shocks.
 
 A motion begins with a window above the limits of the noise floor, and ends after some windows below
-lower limits. Until then, its windows are held if they may be a shock.
+lower limits. Until it ends, the windows of a motion that may be a shock are held.
 """
 
 from __future__ import annotations
@@ -20,17 +20,17 @@ from .noise_floor import NoiseFloor, WindowClass, Windows, is_stuck
 from .noise_levels import Change, NoiseLevels
 
 MARGIN_BEFORE, MARGIN_AFTER_S = 1, 2.0
-"""What is excluded of the data at rest next to a motion: one window before the motion, and windows
-of at least 2 s after the motion."""
+"""Number of windows at rest before a motion, and time in s at rest after a motion, that are
+excluded."""
 
 
 class RestFilter:
     """Passes on windows at rest, and excludes or replaces the others.
 
-    Windows at rest are added to the present one of the ``levels``, whose noise floor decides.
-    ``size`` is the number of samples in a window. ``motion`` is the present motion, if any, and
-    ``stuck``, (axes,), flags axes that repeated one value. ``levels``, ``events`` and ``splits``
-    (number of splits by reason) are changed in place.
+    Windows at rest are added to the present noise level of ``levels``. The noise floor of this
+    level decides which windows are at rest. ``size`` is the number of samples in a window.
+    ``motion`` is the present motion or None, and ``stuck``, (axes,), flags axes that repeated one
+    value. ``levels``, ``events`` and ``splits`` (number of splits by reason) are changed in place.
     """
 
     def __init__(
@@ -47,10 +47,10 @@ class RestFilter:
         self._size, self._period_s, self._axes = size, period_s, axes
         self._levels, self._events, self._splits = levels, events, splits
         self._level, self._last_mean = RestLevel(), np.full(len(axes), np.nan)
-        self._cut = ''  # reason for the gap before the next still block
-        # the last still window, because a motion may follow, and the windows of a possible shock
+        self._cut = ''  # reason for the split before the next block at rest
+        # the last window at rest, because a motion may follow, and the windows of a possible shock
         self._held: list[ImuBatch] = []
-        self._out: list[ImuBatch] = []  # confirmed to be at rest
+        self._out: list[ImuBatch] = []  # blocks that are confirmed to be at rest
 
     @property
     def floor(self) -> NoiseFloor:
@@ -77,12 +77,12 @@ class RestFilter:
         windows, and ``windows`` their statistics. With ``only_at_rest``, nothing happens and None
         is returned if some of the windows are not at rest.
         """
-        follows = np.isfinite(self._last_mean).all() and not block.cut
-        floor, before = self.floor, self._last_mean if follows else None
+        has_previous = np.isfinite(self._last_mean).all() and not block.cut
+        floor, before = self.floor, self._last_mean if has_previous else None
         found = floor.classify(block.rows, windows, before, size)
-        still = ~found.moving
-        is_at_rest = self.motion is None and bool(still.all())
-        if only_at_rest and not is_at_rest:
+        at_rest = ~found.moving
+        all_at_rest = self.motion is None and bool(at_rest.all())
+        if only_at_rest and not all_at_rest:
             return None
         if block.cut:
             self._pass_held()
@@ -93,15 +93,15 @@ class RestFilter:
         if found.stuck.any():
             stuck = floor.decreased(windows) & is_stuck(block.rows, size)
             self.stuck |= stuck.any(axis=1)
-        if is_at_rest:
+        if all_at_rest:
             self._release(block, windows.mean, size)
         else:
-            for i in range(len(still)):
+            for i in range(len(at_rest)):
                 window = block.part(slice(i * size, (i + 1) * size))
                 self._step(window, windows.mean[:, i], WindowClass(*(v[i] for v in found)))
-                still[i] = self.motion is None
+                at_rest[i] = self.motion is None
         self._last_mean = windows.mean[:, -1]
-        return still, found
+        return at_rest, found
 
     def end_segment(self) -> None:
         """Decide about the windows that are held, because a gap follows."""
@@ -109,7 +109,7 @@ class RestFilter:
         self._pass_held()
 
     def drop(self, samples: list[ImuBatch], cut: str) -> None:
-        """Drop samples of a motion before a noise floor is known."""
+        """Exclude samples of a motion before a noise floor is known."""
         self._counts.moving += count_samples(samples)
         if self.motion is None:
             self.motion = Motion(cut, int(samples[0].stamps_ns[0]))
@@ -118,12 +118,12 @@ class RestFilter:
         self._cut = cut
 
     def begin_level(self, cut: str) -> None:
-        """Continue with another noise level; ``cut`` is the reason."""
+        """Continue with another noise level; ``cut`` is the reason for the split."""
         self._forget_level()
         self.motion, self._cut = None, cut
 
     def drop_shock(self) -> None:
-        """Drop the windows of the present motion, which is no shock."""
+        """Exclude the windows of the present motion, if any, because it is no shock."""
         motion = self.motion
         if motion is not None and motion.level is not None:
             self._counts.moving += count_samples(self._held)
@@ -161,40 +161,40 @@ class RestFilter:
         motion = self.motion
         if found.decreased:
             self.drop_shock()
-            fate = 'stuck' if found.stuck else 'noise_decreased'
-            setattr(self._counts, fate, getattr(self._counts, fate) + len(window))
+            excluded_as = 'stuck' if found.stuck else 'noise_decreased'
+            setattr(self._counts, excluded_as, getattr(self._counts, excluded_as) + len(window))
         elif motion.level is None:
             self._counts.moving += len(window)
         else:
             self._held.append(window)
         motion.add(window, mean, found)
         window_s = self._size * self._period_s
-        enough = max(LEAST_LEVEL, round(MARGIN_AFTER_S / window_s))
-        # during the motion, because a changed bias of the gyro may prolong it
-        if motion.steady == enough and motion.finds_other_axes(self.floor, self._period_s):
+        margin_windows = max(LEAST_LEVEL, round(MARGIN_AFTER_S / window_s))
+        # not only at the end of the motion, because a changed bias of the gyro may prolong it
+        if motion.steady == margin_windows and motion.finds_other_axes(self.floor, self._period_s):
             self._splits['axes changed'] += 1
         if motion.windows - motion.quiet > int(LONGEST_SHOCK_S / window_s):
             self.drop_shock()
-        if motion.quiet >= enough:
+        if motion.quiet >= margin_windows:
             self._end_motion(motion)
 
     def _end_motion(self, motion: Motion) -> None:
-        """Pass on the windows of the motion that just ended if it was a shock, else split."""
-        kept = motion.replaced(self._held, self.floor, self._period_s)
-        if kept:
+        """End a motion: pass on its windows with replaced samples if it was a shock, else split."""
+        shock_blocks = motion.replaced(self._held, self.floor, self._period_s)
+        if shock_blocks:
             motion.kind = 'shock'
             self._counts.shocks += 1
-            self._counts.replaced += len(kept[0])
+            self._counts.replaced += len(shock_blocks[0])
             self._held = []
         else:
             self.drop_shock()
         self.log_motion()
-        self._pass_on(kept[:1])
-        for window in kept[1:]:
+        self._pass_on(shock_blocks[:1])
+        for window in shock_blocks[1:]:
             self._release(window, window.rows.mean(axis=1)[:, None], len(window))
 
     def _release(self, block: ImuBatch, means: Floats, size: int) -> None:
-        """Pass on still windows except for the last one, because a motion may follow.
+        """Pass on windows at rest, except for the last one, because a motion may follow.
 
         ``means``, (axes, k), are the means of the windows of ``size`` samples.
         """

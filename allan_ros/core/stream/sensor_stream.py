@@ -31,18 +31,19 @@ from .sensors import SensorPlan
 from .timing import SampleClock, has_time
 
 LARGE_RATE_CHANGE = 0.1
-"""Relative difference of the mean step of the first stamps from the former period above which the
-rate has changed. A smaller difference may be due to bursts, until the new period is learned."""
+"""Largest relative difference between the former period and the mean step of the first stamps after
+a possible change of the rate that may be due to bursts. Above it, the rate has changed. Below it,
+this is decided when the new period is learned."""
 
 
 class SensorStream:
     """Computes the sums of axes that are sampled together, from their samples at rest.
 
-    These are all six axes, or the axes of one sensor if the sensors have different rates. The
+    The axes are all six axes, or the axes of one sensor if the sensors have different rates. The
     stages are: `SampleFilter`, `SampleClock`, `RepeatFilter` (if the driver repeats samples at
     random), `MotionGate`, and the sums of a `NoiseLevel`.
-    ``gate`` is None before the sample period is learned, or if it is switched off. ``recorder`` has
-    the drives between two rests, if they are requested.
+    ``gate`` is None before the sample period is learned, or if motion detection is switched off.
+    ``recorder`` has the drives between two rests if ``with_drives`` is set, else it is None.
     """
 
     def __init__(
@@ -58,10 +59,10 @@ class SensorStream:
         self.recorder: DriveRecorder | None = None
         self.events: Longest[Event] = Longest(LISTED_EVENTS)
         self._plan = plan
-        self._former: StreamSums | None = None  # at the earlier rate with the most data
+        self._former: StreamSums | None = None  # sums at the earlier rate with the most data
         self._settings = settings
         self._counts = Counts()  # without the counts of the present levels
-        self._lost, self._lost_s = 0, 0.0  # at earlier rates
+        self._lost, self._lost_s = 0, 0.0  # `lost` and `lost_s` at earlier rates
         self._former_ns = 0.0  # sample period before a change of the rate, until this is confirmed
         self._filter = SampleFilter(plan, self._counts)
         self._start_level = partial(NoiseLevel, identity, plan.axes, with_samples)
@@ -72,7 +73,7 @@ class SensorStream:
         axes, drop = self._plan.axes, self._plan.drop
         self.clock = SampleClock(len(axes), self._settings, bool(drop), self._counts)
         self.gate: MotionGate | None = None
-        # between the clock and the sums
+        # stages between the clock and the sums
         self._stages: list[RepeatFilter | MotionGate] = []
         if self._plan.random_repeats:
             groups = [[axes.index(axis) for axis in group] for group in self._plan.random_repeats]
@@ -82,19 +83,19 @@ class SensorStream:
 
     @property
     def counts(self) -> Counts:
-        """What became of all samples."""
+        """Counts of all samples, by what became of them."""
         counts = replace(self._counts, splits=self._counts.splits.copy())
         counts.add(self._levels.counts)
         return counts
 
     @property
     def lost(self) -> int:
-        """How often the result lost the sums so far, because the IMU moved or its noise changed."""
+        """How often the result was replaced, because the IMU had moved or its noise changed."""
         return self._lost + self._levels.lost
 
     @property
     def lost_s(self) -> float:
-        """Time in s from the first sample at rest to the first one of the result."""
+        """Time in s from the first sample at rest to the first sample of the result."""
         return max(self._lost_s, self._levels.lost_s)
 
     @property
@@ -104,7 +105,7 @@ class SensorStream:
 
     @property
     def is_examined(self) -> bool:
-        """Whether samples at rest were searched for clipped ones."""
+        """Whether samples at rest were searched for clipped values."""
         return self._levels.published.is_examined
 
     @property
@@ -122,13 +123,13 @@ class SensorStream:
         return 'learning' if len(self.clock.pending) else 'waiting'
 
     def by_rate(self) -> list[StreamSums]:
-        """Return the sums at the present sample rate and at the earlier one with the most data."""
+        """Return the sums at the present sample rate and at the earlier rate with the most data."""
         sums, segments = self._levels.published.result
         former = [] if self._former is None else [self._former]
         if not sums.samples or (former and self.is_interleaved):
             return former
         if former:
-            with suppress(AllanError):  # another rate
+            with suppress(AllanError):  # raised if the rates differ
                 sums = former[0].sums + sums
                 longest = nlargest(
                     LISTED_SEGMENTS, [*former[0].segments, *segments], key=lambda each: each.samples
@@ -178,7 +179,11 @@ class SensorStream:
         return self.clock.feed(pending)
 
     def _compare_rate(self, period_ns: float, least: float, is_known: bool = True) -> None:
-        """Count a change of the rate, or of other properties of the stamps if the rate is known."""
+        """Count a change of the rate, or of other properties of the stamps.
+
+        The rate changed if the period differs from the former period by more than the fraction
+        ``least``. Otherwise, other properties changed, which is counted only if the rate is known.
+        """
         if abs(period_ns / self._former_ns - 1.0) > least:
             self._counts.splits['rate change'] += 1
         elif is_known:
@@ -204,7 +209,7 @@ class SensorStream:
         if self.recorder is not None:
             self.recorder.add_rests(blocks)
         for block in blocks:
-            if self.gate is None:  # else it adds the samples at rest
+            if self.gate is None:  # otherwise, the gate adds the samples at rest
                 self._levels.present.add(block)
             if block.cut:
                 self._means.cut()

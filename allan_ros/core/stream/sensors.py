@@ -21,21 +21,23 @@ from ..findings import Finding, finding
 from ..imu import AXES, LARGEST, SENSORS, Flags, Floats, ImuBatch
 
 REPEATED_SHARE = 0.1
-"""Smallest share of repeated or zero samples that indicates a sample-and-hold or zero-filled
-sensor."""
+"""Smallest share of repeated or zero samples that indicates that a driver repeats the samples of a
+slower sensor, or fills them with zeros."""
 
 LEAST_REPEATS, CHANCE_SHARE = 5, 0.15
-"""Smallest number of separate runs of repeated samples, among the first samples, that indicates a
-driver that repeats samples, and the largest share of them that may be equal by chance."""
+"""A driver repeats samples if the first samples contain at least this number of separate sequences
+of repeats, and if the share of samples that are equal by chance is at most the second fraction of
+the share of repeats."""
 
 REGULAR_REPEATS, LARGEST_RANDOM_SHARE = 0.03, 0.6
-"""If the share of repeats is below the first value, they are regarded as random, because they are
-too few to decide. Above the second, they are attributed to a slower sensor."""
+"""Limits of the share of repeats among all samples. Below the first limit, the repeats are regarded
+as random, because they are too few to decide. Above the second limit, they are attributed to a
+slower sensor."""
 
 REGULAR_VARIANCE, REGULAR_VARIANCE_RATIO = 0.5, 0.01
 """Repeats are regular if the variance of their cumulative number about a straight line is less than
-this, or less than this fraction of the variance of a binomial count. Less than 0.1 % of random
-repeats have a variance below the fraction."""
+the first value, or less than the second fraction of the variance of a binomial count. Less than
+0.1 % of random repeats have a variance below this fraction."""
 
 TOGETHER_LOG_RATIO = 2.0 / 3.0
 """Axes repeat (or are zero) together if log(p) / sum(log(p_i)) is smaller than this, where p is the
@@ -48,9 +50,9 @@ together."""
 class SensorPlan:
     """The axes of a sensor stream, and which of its samples to drop.
 
-    ``drop`` is '' for none, 'repeated' for samples that repeat the previous one on all axes, or
-    'zero' for samples that are zero on all axes. ``random_repeats`` are groups of axes. A sample
-    that repeats the previous one on all axes of a group is interpolated on these axes.
+    ``drop`` is 'repeated' for samples that repeat the previous sample on all axes, 'zero' for
+    samples that are zero on all axes, or '' for no samples. ``random_repeats`` are groups of axes.
+    A sample that repeats the previous sample on all axes of a group is interpolated on these axes.
     """
 
     axes: tuple[str, ...]
@@ -59,17 +61,17 @@ class SensorPlan:
 
 
 MIN_CLIPPED = 0.05
-"""Smallest share of samples that are equal to the maximum or minimum and indicate clipping."""
+"""Smallest share of samples at the maximum or at the minimum that indicates clipping."""
 
 CLIPPED_RATIO, CLIPPED_VALUES = 3, 8
-"""Clipping requires that the maximum (or minimum) occurs this many times as often as the next
-value, and that the axis has at least this number of different values. (At a coarse resolution, most
-samples of an unclipped axis have one of two values.)"""
+"""Clipping requires that the maximum (or minimum) occurs at least this many times as often as the
+next value, and that the axis has at least the second number of different values. (At a coarse
+resolution, most samples of an unclipped axis have one of two values.)"""
 
 
 ROUNDING_ERROR = 1e-9
-"""Values that differ by less than this share of their range are equal, as differences of a counter
-that were computed with rounding errors."""
+"""Values that differ by less than this fraction of the range of all values are regarded as equal,
+because the driver computed them with rounding errors."""
 
 
 def clipped_share(samples: Floats) -> float:
@@ -87,9 +89,13 @@ def clipped_share(samples: Floats) -> float:
     values, counts = np.unique(np.round(samples / (error or 1.0)), return_counts=True)
     if len(values) < CLIPPED_VALUES:
         return 0.0
-    ends = ((values[0], counts[0], counts[1]), (values[-1], counts[-1], counts[-2]))
-    clipped = [count for value, count, near in ends if value and count >= CLIPPED_RATIO * near]
-    share = float(max(clipped, default=0) / counts.sum())
+    extremes = ((values[0], counts[0], counts[1]), (values[-1], counts[-1], counts[-2]))
+    clipped_counts = [
+        count
+        for value, count, next_count in extremes
+        if value and count >= CLIPPED_RATIO * next_count
+    ]
+    share = float(max(clipped_counts, default=0) / counts.sum())
     return share if share >= MIN_CLIPPED else 0.0
 
 
@@ -98,8 +104,8 @@ def extreme_shares(rows: Floats) -> Floats:
 
     It is the share at the maximum or the share at the minimum, whichever is larger.
     """
-    ends = (rows.max(axis=1), rows.min(axis=1))
-    counts = [np.count_nonzero(rows == end[:, None], axis=1) for end in ends]
+    extremes = (rows.max(axis=1), rows.min(axis=1))
+    counts = [np.count_nonzero(rows == extreme[:, None], axis=1) for extreme in extremes]
     return np.asarray(np.maximum(*counts) / rows.shape[1])
 
 
@@ -115,7 +121,7 @@ def clipped_shares(rows: Floats) -> Floats:
 
 
 CLIPPED_CHUNK = 1024
-"""Number of samples in which `Clipping` looks for clipped values."""
+"""Number of samples in which `Clipping` looks for clipped values at a time."""
 
 
 class Clipping:
@@ -161,15 +167,16 @@ class Clipping:
 
 
 ALTERNATE_SIGMAS, ALTERNATE_AXES = 8.0, 2
-"""The samples alternate if the means of even and odd ones differ by this number of standard
-deviations on this number of axes, and by more than `SEPARATION_STEPS` steps of the resolution: a
-counter with carry alternates between adjacent counts."""
+"""The samples alternate between two IMUs if the means of the even and of the odd samples differ by
+more than the first number of standard deviations, and by more than `SEPARATION_STEPS` steps of the
+resolution, on at least the second number of axes. A single IMU may alternate by one step, because
+some sensors carry the remainder of a rounded value over to the next value."""
 
 SWITCH_SHARE, SEPARATION, SEPARATION_STEPS = 0.25, 8.0, 1.5
-"""The samples of an axis come from two IMUs if the largest gap between their values is at least the
-second value, in standard deviations on either side, and the third, in steps of the resolution (1
-between neighboring levels of rounded noise), and if at least the first value of the differences
-cross it."""
+"""The samples of an axis come from two IMUs if a wide gap divides the values into a low and a high
+group. The gap must be wider than the second number of standard deviations of either group, and
+wider than the third number of steps of the resolution. More than the first share of the differences
+between successive samples must cross the gap."""
 
 
 def are_interleaved(rows: Floats) -> bool:
@@ -190,8 +197,8 @@ def are_interleaved(rows: Floats) -> bool:
         sigma = np.sqrt(0.5 * n * np.mean((rows[:, 2:] - rows[:, :-2]) ** 2, axis=1))
         levels = np.diff(np.sort(rows))
         steps = np.where(levels > 0.0, levels, np.inf).min(axis=1)
-        least = np.maximum(ALTERNATE_SIGMAS * sigma, 0.5 * n * SEPARATION_STEPS * steps)
-        if np.count_nonzero(difference > least) >= ALTERNATE_AXES:
+        limits = np.maximum(ALTERNATE_SIGMAS * sigma, 0.5 * n * SEPARATION_STEPS * steps)
+        if np.count_nonzero(difference > limits) >= ALTERNATE_AXES:
             return True
         for values in rows:
             ordered = np.sort(values)
@@ -200,8 +207,8 @@ def are_interleaved(rows: Floats) -> bool:
             switches = np.count_nonzero(np.diff(values >= high[0]))
             gap, levels = high[0] - low[-1], np.diff(ordered)
             step = levels[levels > 0.0].min(initial=gap)
-            apart = gap > SEPARATION * max(low.std(), high.std()) > 0.0
-            if apart and gap > SEPARATION_STEPS * step and switches > SWITCH_SHARE * n:
+            is_apart = gap > SEPARATION * max(low.std(), high.std()) > 0.0
+            if is_apart and gap > SEPARATION_STEPS * step and switches > SWITCH_SHARE * n:
                 return True
     return False
 
@@ -209,43 +216,47 @@ def are_interleaved(rows: Floats) -> bool:
 def plan_sensors(first: ImuBatch, only: str = '') -> tuple[list[SensorPlan], list[Finding]]:
     """Decide from the first samples, at least one, whether the sensors need separate streams.
 
-    Returns a plan for each stream, and the findings about the sensors. The six axes are NaN where a
-    sensor is absent. ``only`` is the sensor to use; '' for both.
+    Returns a plan for each stream, and the findings about the sensors. ``first`` has six axes, with
+    NaN for an absent sensor. ``only`` is the sensor to use; '' for both.
     """
-    # without duplicate messages, which are excluded later
+    # do not count duplicate messages as repeats: they are excluded later
     rows = first.rows
-    duplicate = (np.diff(first.stamps_ns) == 0) & (rows[:, 1:] == rows[:, :-1]).all(axis=0)
-    rows = rows[:, np.concatenate([[True], ~duplicate])]
+    is_duplicate = (np.diff(first.stamps_ns) == 0) & (rows[:, 1:] == rows[:, :-1]).all(axis=0)
+    rows = rows[:, np.concatenate([[True], ~is_duplicate])]
     repeats = rows[:, 1:] == rows[:, :-1]
     findings: list[Finding] = []
     used = [sensor for sensor in SENSORS if only in ('', sensor)]
     plans = [p for sensor in used if (p := _plan_sensor(sensor, rows, repeats, findings))]
-    random = [plan for plan in plans if plan.random_repeats]
-    if random:
-        flags = np.array([_all_repeat(plan, repeats) for plan in random])
-        axes = tuple(axis for plan in random for axis in plan.axes)
-        findings.append(finding('repeated', axes, share=float(flags.any(axis=0).mean())))
+    random_plans = [plan for plan in plans if plan.random_repeats]
+    if random_plans:
+        random_repeats = np.array([_all_repeat(plan, repeats) for plan in random_plans])
+        axes = tuple(axis for plan in random_plans for axis in plan.axes)
+        findings.append(finding('repeated', axes, share=float(random_repeats.any(axis=0).mean())))
     if len(plans) == len(SENSORS) and len({plan.drop for plan in plans}) == 1:
-        both, drop = plans[0].axes + plans[1].axes, plans[0].drop
-        together = (drop or len(random) == len(SENSORS)) and _repeat_together(plans, repeats)
-        groups = (both,) if together else plans[0].random_repeats + plans[1].random_repeats
+        all_axes, drop = plans[0].axes + plans[1].axes, plans[0].drop
+        repeat_together = (drop or len(random_plans) == len(SENSORS)) and _repeat_together(
+            plans, repeats
+        )
+        groups = (
+            (all_axes,) if repeat_together else plans[0].random_repeats + plans[1].random_repeats
+        )
         if not drop:
-            plans = [SensorPlan(both, random_repeats=groups)]
-        elif drop == 'repeated' and together:
-            plans = [SensorPlan(both, drop)]
+            plans = [SensorPlan(all_axes, random_repeats=groups)]
+        elif drop == 'repeated' and repeat_together:
+            plans = [SensorPlan(all_axes, drop)]
     return plans, findings
 
 
 def zeros_and_repeats(sensor: str, axes: tuple[str, ...], rows: Floats) -> list[Finding]:
-    """Return a finding if samples of a sensor, (axes, n), are zero or repeat the one before.
+    """Return a finding if samples of a sensor, (axes, n), are zero or repeat the previous sample.
 
-    They are all zero, or some are zero or repeated on all axes.
+    Either all values are zero, or many samples are zero or repeated on all axes.
     """
-    zeros = rows == 0.0
-    if zeros.all():
+    is_zero = rows == 0.0
+    if is_zero.all():
         return [finding('sensor_all_zero', axes, sensor=sensor)]
-    if _coincide(zeros):
-        share = float(zeros.all(axis=0).mean())
+    if _coincide(is_zero):
+        share = float(is_zero.all(axis=0).mean())
         return [finding('zero_filled', axes, sensor=sensor, share=share)]
     if _are_repeated(rows):
         share = float((rows[:, 1:] == rows[:, :-1]).all(axis=0).mean())
@@ -256,33 +267,33 @@ def zeros_and_repeats(sensor: str, axes: tuple[str, ...], rows: Floats) -> list[
 def _plan_sensor(
     sensor: str, rows: Floats, repeats: Flags, findings: list[Finding]
 ) -> SensorPlan | None:
-    """Return the plan of one sensor, None if it is absent; append to the findings."""
+    """Return the plan of one sensor, or None if it is absent; append to ``findings``."""
     place = SENSORS[sensor]
-    present = np.arange(place.start, place.stop)
-    present = present[(np.abs(rows[place]) <= LARGEST).any(axis=1)]
-    if not len(present):
+    axis_indices = np.arange(place.start, place.stop)
+    axis_indices = axis_indices[(np.abs(rows[place]) <= LARGEST).any(axis=1)]
+    if not len(axis_indices):
         findings.append(finding('sensor_absent', AXES[place], sensor=sensor))
         return None
-    axes = tuple(AXES[i] for i in present)
-    if lacking := tuple(axis for axis in AXES[place] if axis not in axes):
-        findings.append(finding('axis_absent', lacking, count=rows.shape[1]))
-    zeros = rows[present] == 0.0
-    if zeros.all():
+    axes = tuple(AXES[i] for i in axis_indices)
+    if missing_axes := tuple(axis for axis in AXES[place] if axis not in axes):
+        findings.append(finding('axis_absent', missing_axes, count=rows.shape[1]))
+    is_zero = rows[axis_indices] == 0.0
+    if is_zero.all():
         findings.append(finding('sensor_all_zero', axes, sensor=sensor))
         return None
     plan = SensorPlan(axes)
-    if _coincide(zeros):
+    if _coincide(is_zero):
         plan = SensorPlan(axes, 'zero')
-        share = float(zeros.all(axis=0).mean())
+        share = float(is_zero.all(axis=0).mean())
         findings.append(finding('zero_filled', axes, sensor=sensor, share=share))
-    elif _are_repeated(rows[present]):
-        flags = _all_repeat(plan, repeats)
-        if _are_regular(flags):
+    elif _are_repeated(rows[axis_indices]):
+        is_repeat = _all_repeat(plan, repeats)
+        if _are_regular(is_repeat):
             plan = SensorPlan(axes, 'repeated')
-            findings.append(finding('held', axes, sensor=sensor, share=float(flags.mean())))
+            findings.append(finding('held', axes, sensor=sensor, share=float(is_repeat.mean())))
         else:
             plan = SensorPlan(axes, random_repeats=(axes,))
-    for axis, samples in zip(axes, rows[present]):
+    for axis, samples in zip(axes, rows[axis_indices]):
         if share := clipped_share(samples):
             findings.append(finding('clipped', (axis,), share=share))
     return plan
@@ -294,27 +305,32 @@ def _all_repeat(plan: SensorPlan, repeats: Flags) -> Flags:
 
 def _repeat_together(plans: list[SensorPlan], repeats: Flags) -> bool:
     """Return whether both sensors repeat their samples in the same messages."""
-    gyro, accel = (_all_repeat(plan, repeats) for plan in plans)
-    most = min(REPEATED_SHARE, 0.5 * float(gyro.mean()), 0.5 * float(accel.mean()))
-    return bool((gyro != accel).mean() < most)
+    gyro_repeats, accel_repeats = (_all_repeat(plan, repeats) for plan in plans)
+    largest_share = min(
+        REPEATED_SHARE, 0.5 * float(gyro_repeats.mean()), 0.5 * float(accel_repeats.mean())
+    )
+    return bool((gyro_repeats != accel_repeats).mean() < largest_share)
 
 
 def _are_repeated(values: Floats) -> bool:
-    """Return whether samples, (axes, n), repeat the previous one more often than by chance.
+    """Return whether samples, (axes, n), repeat the previous sample more often than by chance.
 
-    If all equal samples are in one part of the data, they are no repeats: it has a lower noise.
-    Chance is estimated from the share of changed samples that equal the one before the previous.
+    If all equal samples are in one part of the data, they are not repeats: this part has less
+    noise. How many samples are equal by chance is estimated from the samples that differ from the
+    previous sample, but equal the sample before it.
     """
     flags = values[:, 1:] == values[:, :-1]
-    both = flags.all(axis=0)
-    share = float(both.mean()) if both.size else 0.0
-    runs = np.count_nonzero(both[1:] & ~both[:-1])
-    if runs < LEAST_REPEATS or _line_variance(both) > share * (1.0 - share) * len(both):
+    is_repeat = flags.all(axis=0)
+    share = float(is_repeat.mean()) if is_repeat.size else 0.0
+    sequences = np.count_nonzero(is_repeat[1:] & ~is_repeat[:-1])
+    if sequences < LEAST_REPEATS or _line_variance(is_repeat) > share * (1.0 - share) * len(
+        is_repeat
+    ):
         return False
     if _coincide(flags):
         return True
-    equal_second = (values[:, 2:] == values[:, :-2]).all(axis=0)[~both[1:]].mean()
-    return bool(equal_second <= CHANCE_SHARE * share)
+    chance_share = (values[:, 2:] == values[:, :-2]).all(axis=0)[~is_repeat[1:]].mean()
+    return bool(chance_share <= CHANCE_SHARE * share)
 
 
 def _are_regular(repeats: Flags) -> bool:
@@ -344,7 +360,7 @@ def _coincide(flags: Flags) -> bool:
 
     Returns False if all flags are set: then the values are constant, which is a different fault.
     """
-    joint = float(flags.all(axis=0).mean()) if flags.size else 0.0
-    if not REPEATED_SHARE < joint < 1.0:
+    joint_share = float(flags.all(axis=0).mean()) if flags.size else 0.0
+    if not REPEATED_SHARE < joint_share < 1.0:
         return False
-    return bool(np.log(joint) > TOGETHER_LOG_RATIO * np.log(flags.mean(axis=1)).sum())
+    return bool(np.log(joint_share) > TOGETHER_LOG_RATIO * np.log(flags.mean(axis=1)).sum())

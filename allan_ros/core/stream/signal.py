@@ -23,7 +23,8 @@ from .health import Event, Segment
 Floats = NDArray[np.float64]
 
 MAX_BINS = 2048
-"""Largest number of bins, more than the pixels of a plot; when all are full, pairs are joined."""
+"""Largest number of bins, more than the pixels of a chart. When all are full, pairs of bins are
+joined."""
 
 
 BIN_STATISTICS: dict[str, Any] = {
@@ -35,7 +36,7 @@ BIN_STATISTICS: dict[str, Any] = {
     'pairs': np.add,
 }
 """Statistics of a bin, and the function that joins two bins: lowest and highest sample; sum and
-number of samples; sum of squared differences of successive samples, and number of these."""
+number of samples; sum of squared differences of successive samples, and number of differences."""
 
 
 class SignalEnvelope:
@@ -68,10 +69,11 @@ class SignalEnvelope:
             batch = batch[room:]
 
     def with_accel(self, other: SignalEnvelope) -> SignalEnvelope:
-        """Return a copy with the accelerometer of another topic, in bins at about its times."""
+        """Return a copy with the accelerometer of another topic, in the bins of this envelope."""
         joined = deepcopy(self)
         accel = slice(len(AXES) // 2, None)
-        # a bin contains all bins of the other topic that begin in it, or else the next one
+        # a bin joins the bins of the other topic from the one in which it begins, up to the one in
+        # which the next bin begins
         starts = np.searchsorted(other.start_ns[1:], self.start_ns).clip(max=other.bins - 1)
         starts[:1] = 0
         for name, join in BIN_STATISTICS.items():
@@ -116,34 +118,37 @@ class SignalEnvelope:
         samples = np.where(np.abs(batch.samples) <= LARGEST, batch.samples, np.nan)
         squares = np.diff(np.concatenate([self._last, samples]), axis=0) ** 2
         self._last = samples[-1:]
-        new = {'low': samples, 'high': samples}
+        statistics = {'low': samples, 'high': samples}
         for number, sum_of, values in (('count', 'total', samples), ('pairs', 'square', squares)):
-            known = np.isfinite(values)
-            new |= {sum_of: np.where(known, values, 0.0), number: known.astype(float)}
+            is_finite = np.isfinite(values)
+            statistics |= {
+                sum_of: np.where(is_finite, values, 0.0),
+                number: is_finite.astype(float),
+            }
         record = batch.stamps_ns if batch.record_ns is None else batch.record_ns
         start_ns = np.stack([batch.stamps_ns[starts], record[starts]], axis=1)
-        at = int(bins[0])
-        filled = slice(at, at + len(starts))
-        begun = bool(first % self._step)  # the first bin has samples already
-        if begun:
-            start_ns[0] = self._start_ns[at]
-        self._start_ns[filled] = start_ns
+        first_bin = int(bins[0])
+        bin_slice = slice(first_bin, first_bin + len(starts))
+        is_begun = bool(first % self._step)  # the first bin has samples already
+        if is_begun:
+            start_ns[0] = self._start_ns[first_bin]
+        self._start_ns[bin_slice] = start_ns
         for name, join in BIN_STATISTICS.items():
-            joined = join.reduceat(new[name], starts)
-            if begun:
-                joined[0] = join(joined[0], self._bins[name][at])
-            self._bins[name][filled] = joined
+            joined = join.reduceat(statistics[name], starts)
+            if is_begun:
+                joined[0] = join(joined[0], self._bins[name][first_bin])
+            self._bins[name][bin_slice] = joined
         self._samples += len(batch)
 
 
 Item = TypeVar('Item')
 
 ABSOLUTE_ZERO, HOTTEST = -273.15, 1000.0
-"""Plausible range in degC; readings outside are ignored."""
+"""Plausible range of a temperature in degC; readings outside of it are ignored."""
 
 HOTTEST_IMU = 200.0
-"""Temperature in degC above which the median of the readings must be in K: IMUs are specified up to
-175 degC, and 200 K is colder than the limit of every IMU."""
+"""If the median of the readings in degC is above this value, the readings are in K: IMUs are
+specified up to 175 degC, and 200 K is below the lower limit of every IMU."""
 
 
 @dataclass(frozen=True)
@@ -157,10 +162,10 @@ class TemperatureTrace:
 
 
 def trace_of(source: str, readings: Iterable[tuple[int, int, float]]) -> TemperatureTrace | None:
-    """Return the plausible readings of a temperature sensor; None if there is none.
+    """Return the plausible readings of a temperature sensor; None if no reading is plausible.
 
-    ``source`` is their topic or column, and a reading is (header stamp in ns, record time in ns,
-    degC). If most readings are above `HOTTEST_IMU`, they are in K.
+    ``source`` is the topic or column of the readings, and a reading is (header stamp in
+    ns, record time in ns, degC). If most readings are above `HOTTEST_IMU`, they are in K.
     """
     valid = [r for r in readings if ABSOLUTE_ZERO < r[2] < HOTTEST]  # also false for NaN
     if not valid:
@@ -205,7 +210,7 @@ class Decimated(Generic[Item]):
 
 
 GAP_BINS = 3.0
-"""Duration of a bin, relative to the median, above which it contains a gap."""
+"""If a bin lasts longer than this number of median durations, it contains a gap."""
 
 
 class Excluded(NamedTuple):
@@ -243,7 +248,7 @@ class SignalSummary:
     middle: Floats  # median of the signal, SI, (6,)
     excluded: tuple[Excluded, ...]
     gaps: tuple[tuple[float, float], ...]  # (start, end) in s of times without samples
-    starts: tuple[float, ...]  # of each recording in s
+    starts: tuple[float, ...]  # start of each recording in s
     temperature: SignalTemperature | None = None
 
     @property
@@ -267,20 +272,21 @@ def summarize_signal(
     events: Sequence[Event] = (),
     temperatures: Sequence[TemperatureTrace | None] = (),
 ) -> SignalSummary | None:
-    """Return the summary of all recordings in about ``bins`` bins; None if none has two bins.
+    """Return the summary of all recordings in about ``bins`` bins.
 
-    ``signals`` has the signal, and ``temperatures`` the temperature or None, of each recording.
-    ``segments`` are the used parts of all recordings, and ``events`` their shocks and the reasons
-    why other times are not used.
+    ``signals`` are the signals of the recordings, and ``temperatures``, for each recording, the
+    temperature or None. ``segments`` are the used parts of all recordings. ``events`` are the
+    shocks in these parts, and the reasons why other parts are not used. Returns None if no
+    recording has two bins.
     """
     temperatures = temperatures or [None] * len(signals)
-    known = [(s, t) for s, t in zip(signals, temperatures) if s.bins > 1]
-    if not known:
+    recordings = [(s, t) for s, t in zip(signals, temperatures) if s.bins > 1]
+    if not recordings:
         return None
-    step = max(1, round(sum(signal.bins for signal, _ in known) / bins))
+    step = max(1, round(sum(signal.bins for signal, _ in recordings) / bins))
     parts: list[SignalSummary] = []
     offset = 0.0
-    for signal, trace in known:
+    for signal, trace in recordings:
         part, length = _recording(signal, trace, segments, step, events, offset)
         parts.append(part)
         offset += length
@@ -290,8 +296,8 @@ def summarize_signal(
     }
     low, high = joined['low'], joined['high']
     middle = np.full(len(AXES), np.nan)
-    there = ~np.all(np.isnan(low), axis=0)
-    middle[there] = np.nanmedian(low[:, there] + high[:, there], axis=0) / 2.0
+    is_present = ~np.all(np.isnan(low), axis=0)
+    middle[is_present] = np.nanmedian(low[:, is_present] + high[:, is_present], axis=0) / 2.0
     joined |= {
         name: tuple(item for part in parts for item in getattr(part, name))
         for name in ('excluded', 'gaps', 'starts')
@@ -309,30 +315,30 @@ def _recording(
     offset: float,
 ) -> tuple[SignalSummary, float]:
     """Return the summary of one recording that begins at ``offset``, and its length in s."""
-    starts = np.arange(0, signal.bins, step)  # of groups of bins
+    starts = np.arange(0, signal.bins, step)  # first bin of each group of bins
     time = signal.time_s[starts]
-    known = signal.statistics(step)
-    low, high = known['low'], known['high']
+    statistics = signal.statistics(step)
+    low, high = statistics['low'], statistics['high']
     with np.errstate(invalid='ignore', divide='ignore'):
-        mean = known['total'] / known['count']
-        noise = np.sqrt(known['square'] / (2.0 * known['pairs']))
+        mean = statistics['total'] / statistics['count']
+        noise = np.sqrt(statistics['square'] / (2.0 * statistics['pairs']))
     steps = np.diff(time)
     usual = float(np.median(steps))
     length = float(time[-1] + usual)
     # bins of equal sample count that last far longer than the others
-    at = np.flatnonzero(steps > GAP_BINS * usual)
-    holes = [(float(time[i] + usual), float(time[i + 1])) for i in at]
+    gap_bins = np.flatnonzero(steps > GAP_BINS * usual)
+    gaps = [(float(time[i] + usual), float(time[i + 1])) for i in gap_bins]
     first_ns = int(signal.start_ns[0])
-    outside = list(_excluded(_times(segments, first_ns, length), holes, length))
+    excluded = list(_excluded(_times(segments, first_ns, length), gaps, length))
     for event in events:
         for start, end in _times([event], first_ns, length):
-            outside = _marked(outside, Excluded(start, end, event.kind))
+            excluded = _marked(excluded, Excluded(start, end, event.kind))
     used = np.ones(len(time), bool)
-    for out in outside:
+    for out in excluded:
         used &= (time >= out.end) | (np.append(time[1:], length) <= out.start)
     if offset:
-        low[0] = high[0] = np.nan  # no line from the previous recording
-    least = 1e-3 * length  # shorter gaps are narrower than a line
+        low[0] = high[0] = np.nan  # a chart has no line from the previous recording
+    shortest = 1e-3 * length  # shorter periods are narrower than a line of a chart
     summary = SignalSummary(
         time + offset,
         low,
@@ -343,10 +349,10 @@ def _recording(
         np.empty(0),
         tuple(
             Excluded(out.start + offset, out.end + offset, out.why)
-            for out in outside
-            if out.why or out.end - out.start > least
+            for out in excluded
+            if out.why or out.end - out.start > shortest
         ),
-        tuple((start + offset, end + offset) for start, end in holes if end - start > least),
+        tuple((start + offset, end + offset) for start, end in gaps if end - start > shortest),
         (offset,),
         None if trace is None else _temperature(trace, first_ns, length, offset),
     )
@@ -354,10 +360,10 @@ def _recording(
 
 
 def _times(
-    known: Sequence[Segment | Event], first_ns: int, length: float
+    items: Sequence[Segment | Event], first_ns: int, length: float
 ) -> list[tuple[float, float]]:
-    starts = [(one.start_ns - first_ns) * 1e-9 for one in known]
-    times = [(start, start + one.duration_s) for start, one in zip(starts, known)]
+    starts = [(item.start_ns - first_ns) * 1e-9 for item in items]
+    times = [(start, start + item.duration_s) for start, item in zip(starts, items)]
     return [(start, end) for start, end in times if start < length and end > 0.0]
 
 
@@ -373,7 +379,7 @@ def _excluded(
 
 
 def _marked(excluded: list[Excluded], event: Excluded) -> list[Excluded]:
-    """Return the excluded periods with the kind of an event; a shock is a period of its own."""
+    """Return the excluded periods with the kind of an event; a shock is added as a period."""
     if event.why == 'shock':
         return [*excluded, event]
     start, end = event.start, event.end

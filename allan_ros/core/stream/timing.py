@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Divides samples into evenly spaced blocks: learns the period, detects gaps, fills short ones.
+"""Divides samples into evenly spaced blocks: learns the period, and interpolates short gaps.
 
 Lost and late samples
 ---------------------
@@ -37,15 +37,16 @@ CLOCK_BLOCK = 256
 """Number of samples that are processed together."""
 
 LOOK_AHEAD = 64
-"""Number of samples before and after a pause whose delays are compared, for regular stamps."""
+"""Number of samples before and after a pause whose delays are compared if stamps are regular."""
 
 BURST_LOOK_AHEAD_S, BURST_LOOK_AHEAD = 4.0, 1 << 18
-"""The same for bursty stamps, as a time in s. The largest number of samples is reached at 65 kHz
-(15 MB)."""
+"""The look-ahead for bursty stamps: time in s, and largest number of samples. This number is
+reached at 65 kHz (15 MB)."""
 
 BURST_PAUSE_S = 0.25
-"""Shortest pause and smallest increase of the delay, in s, that can be a loss if stamps are bursty.
-In that case the smallest delay varies by several samples without a loss."""
+"""If stamps are bursty, samples may have been lost only in a pause of at least this time in s that
+increases the smallest delay by at least this time. Smaller increases occur without a loss, because
+the smallest delay of bursty stamps varies by several samples."""
 
 LATE = 1.5
 """If stamps are regular, a step longer than this many periods is a pause."""
@@ -56,32 +57,36 @@ mean of these steps is at least this share of the mean of all steps."""
 
 POLLED_SHARE = 0.95
 """Polled samples are evenly spaced on average if this share of the steps between their stamps is
-between 0.4 and 2.2 mean steps."""
+between 0.4 and 2.2 times the mean step."""
 
 FEWEST_STEPS = 8
-"""Smallest number of steps above 0 between the first stamps: with longer bursts of equal stamps,
-the period would depend on where the last burst begins."""
+"""Smallest number of steps above 0 between the first stamps from which a period is learned. With
+fewer steps, in long bursts of equal stamps, the period depends on where the last burst begins."""
 
 EVEN_SHARE, EVEN = 0.9, 0.15
-"""Stamps have even runs if this share of the steps differs from the median by at most the second
-fraction of it, and if almost all others (see `POLLED_SHARE`) are longer than `LATE` medians."""
+"""Stamps have evenly spaced runs if at least the first share of the steps differs from the median
+step by at most the second fraction of the median step, and if almost all other steps (see
+`POLLED_SHARE`) are longer than `LATE` median steps."""
 
 UNEVEN = 2.0
-"""Ratio of mean steps, each over a run and the pause before it, above which the samples are not
-late: late samples have the same mean step in each burst."""
+"""Ratio of the largest to the smallest mean step, each over a run and the pause before it, above
+which the samples are not late. Late samples have the same mean step in each burst."""
 
 DECLARED_RANGE = 0.25
-"""Relative difference up to which the declared rate replaces the mean rate of bursts."""
+"""Largest relative difference between the declared rate and the mean rate of bursty stamps at which
+the declared rate is used."""
 
 MANY, EXACT = 0.2, 0.15
-"""Samples are missing regularly if at least the first share of the steps is one sample period and
-the same share is longer, with deviations of at most the second fraction of a period."""
+"""Samples are missing regularly if at least the first share of the steps is one sample period, and
+at least the same share is a larger multiple of it. The steps may deviate from the multiples by at
+most the second fraction of a period."""
 
 JITTER_SHARE = 0.01
 """Stamps have jitter if more than this share of the steps is shorter than half the period."""
 
 PERIOD_RANGE, PERIOD_TRACKING = 0.05, 0.003
-"""Relative range of `rayleigh_period`: when the period is learned, and when it is updated."""
+"""Relative range in which `rayleigh_period` searches: when the period is learned, and when it is
+updated."""
 
 PHASE_GAP = 16.0
 """Longest pause, in periods, after which the phase of the samples is assumed to continue."""
@@ -102,11 +107,12 @@ class Clock:
     step_ns: float
     bursty: bool
     jitter: bool = False
-    base_ns: float = 0.0  # if samples are missing regularly: step without a missing one
+    # step between two stamps without a missing sample, if samples are missing regularly; else 0
+    base_ns: float = 0.0
 
     @property
     def look_ahead(self) -> int:
-        """Number of samples on each side of a pause that are compared to detect a loss."""
+        """Number of samples on each side of a pause whose delays are compared to detect a loss."""
         if not self.bursty:
             return LOOK_AHEAD
         wanted = BURST_LOOK_AHEAD_S * 1e9 / self.period_ns
@@ -125,7 +131,7 @@ class Clock:
 
 
 def learned_from(stamps: Stamps) -> int:
-    """Return the number of first stamps in ns, (n,), from which a stream is learned; 0 if too few.
+    """Return from how many stamps in ns, (n,), a stream is learned; 0 if there are too few stamps.
 
     >>> import numpy as np
     >>> [learned_from(np.arange(2000) * 10**9 // rate) for rate in (20, 50, 100, 1000)]
@@ -139,11 +145,11 @@ def learned_from(stamps: Stamps) -> int:
 def learn_clock(stamps: Stamps, polled: bool = False, declared: float = 0.0) -> Clock | None:
     """Estimate the sample period of a stream from its first stamps, (n,), in ns.
 
-    Backward stamps are ignored. If ``polled`` is set, a slower sensor is polled, and only messages
-    with a new sample have a stamp here. The steps between them are multiples of the period of the
-    messages, and only their mean is the sample period. If samples are missing regularly, the period
-    is the mean step, unless the smallest step agrees with the ``declared`` rate in Hz. Returns None
-    if there are too few different stamps.
+    Backward stamps are ignored. If ``polled`` is set, the messages repeat the samples of a slower
+    sensor, and ``stamps`` are the stamps of the messages with a new sample. The steps between these
+    stamps are multiples of the period of the messages, and the mean step is the sample period.
+    If samples are missing regularly, the period is the mean step, unless the smallest step agrees
+    with the ``declared`` rate in Hz. Returns None if there are too few different stamps.
     """
     if not has_time(stamps):
         return None
@@ -166,53 +172,56 @@ def has_time(stamps: Stamps) -> bool:
 def _period_of_runs(step: Floats) -> float:
     """Return the period of evenly stamped runs with pauses between them, or 0 for late samples.
 
-    A logger that records in bursts leaves gaps, and the steps in each run show the period. The
-    steps between samples that arrive late together do not: these bursts are short, and their pauses
-    make up for them.
+    If a logger records in runs with gaps between them, the steps in each run show the period. If
+    samples arrive late together, the steps in a burst do not show the period: the bursts are short,
+    and a burst with the pause before it has the correct mean step.
     """
     median = float(np.median(step))
-    inside = np.abs(step - median) <= EVEN * median
+    is_near_median = np.abs(step - median) <= EVEN * median
     pauses = np.flatnonzero(step > LATE * median)
-    if not median or len(pauses) < 2 or inside.mean() < EVEN_SHARE:
+    if not median or len(pauses) < 2 or is_near_median.mean() < EVEN_SHARE:
         return 0.0
-    if np.count_nonzero(inside) + len(pauses) < POLLED_SHARE * len(step):
+    if np.count_nonzero(is_near_median) + len(pauses) < POLLED_SHARE * len(step):
         return 0.0
-    period = float(step[inside].mean())
+    period = float(step[is_near_median].mean())
     mean_steps = np.add.reduceat(step, pauses)[:-1] / np.diff(pauses)
-    is_long = float(np.median(np.diff(pauses))) * period >= BURST_PAUSE_S * 1e9
-    uneven = len(mean_steps) > 1 and mean_steps.max() > UNEVEN * mean_steps.min()
-    return period if is_long or uneven else 0.0
+    has_long_runs = float(np.median(np.diff(pauses))) * period >= BURST_PAUSE_S * 1e9
+    is_uneven = len(mean_steps) > 1 and mean_steps.max() > UNEVEN * mean_steps.min()
+    return period if has_long_runs or is_uneven else 0.0
 
 
 def _common_step(step: Floats) -> float:
-    """Return the shortest step, (n,), if all are multiples of it and many are longer, else 0."""
+    """Return the shortest step if samples are missing regularly, else 0.
+
+    ``step``, (n,), are the steps. Almost all are multiples of the shortest, and many are longer.
+    """
     shortest = float(np.sort(step)[int(MANY * len(step))])
-    near = step[np.abs(step - shortest) <= EXACT * shortest]
-    base = float(near.mean())
+    near_shortest = step[np.abs(step - shortest) <= EXACT * shortest]
+    base = float(near_shortest.mean())
     number = np.rint(step / base) if base else step
-    exact = (np.abs(step - number * base) <= EXACT * base) & (number > 0)
-    many = min(np.mean(number == 1), np.mean(number > 1)) >= MANY if base else False
-    return base if many and exact.mean() >= POLLED_SHARE else 0.0
+    is_multiple = (np.abs(step - number * base) <= EXACT * base) & (number > 0)
+    has_many_longer = min(np.mean(number == 1), np.mean(number > 1)) >= MANY if base else False
+    return base if has_many_longer and is_multiple.mean() >= POLLED_SHARE else 0.0
 
 
 def _clock_of(step: Floats, stamps: Stamps, polled: bool, declared: float) -> Clock:
     """Estimate the sample period from the ``step`` between the stamps in ns, (n - 1,).
 
-    The ``declared`` rate in Hz, or 0, decides between late and lost samples, and is used for
-    bursts.
+    The ``declared`` rate in Hz, or 0 if unknown, decides whether samples are late or lost, and is
+    used for bursty stamps.
     """
     size = max(1, min(CLOCK_BLOCK, len(step) // 4))
     # one long gap does not change the median of block means
     mean = float(np.median(step[: len(step) // size * size].reshape(-1, size).mean(axis=1)))
     mean = mean or float(step.mean())
     median = float(np.median(step))
-    near = step[np.abs(step - median) <= 0.5 * median]
-    if polled and len(near) < POLLED_SHARE * len(step):
+    near_median = step[np.abs(step - median) <= 0.5 * median]
+    if polled and len(near_median) < POLLED_SHARE * len(step):
         polls = np.count_nonzero((step > 0.4 * mean) & (step < 2.2 * mean))
         if polls >= POLLED_SHARE * len(step):
             return Clock(mean, mean, bursty=False)
-    if median > 0.0 and len(near) >= REGULAR_SHARE * len(step):
-        period = float(near.mean())
+    if median > 0.0 and len(near_median) >= REGULAR_SHARE * len(step):
+        period = float(near_median.mean())
         if period >= REGULAR_SHARE * mean:
             # jitter makes steps longer and shorter, lost samples only longer
             long_steps = np.count_nonzero(step > LATE * period)
@@ -221,11 +230,11 @@ def _clock_of(step: Floats, stamps: Stamps, polled: bool, declared: float) -> Cl
                 period = rayleigh_period(stamps, period, PERIOD_RANGE)
                 return Clock(period, median, bursty=False, jitter=True)
             return Clock(mean if 2 * short_steps >= long_steps else period, median, bursty=False)
-    given = 1e9 / declared if declared else mean
-    near_mean = abs(mean / given - 1.0) < DECLARED_RANGE
-    if (runs := _period_of_runs(step)) and not (declared and near_mean):
-        return Clock(runs, runs, bursty=False)
-    return Clock(given if near_mean else mean, median, bursty=True)
+    expected_step = 1e9 / declared if declared else mean
+    is_near_mean = abs(mean / expected_step - 1.0) < DECLARED_RANGE
+    if (run_period := _period_of_runs(step)) and not (declared and is_near_mean):
+        return Clock(run_period, run_period, bursty=False)
+    return Clock(expected_step if is_near_mean else mean, median, bursty=True)
 
 
 def rayleigh_period(stamps: Stamps, period: float, relative_range: float) -> float:
@@ -237,13 +246,13 @@ def rayleigh_period(stamps: Stamps, period: float, relative_range: float) -> flo
     section 6.3). Lost samples do not move the maximum.
     """
     step = np.diff(stamps) / period
-    t = np.cumsum(np.where(step > PHASE_GAP, 1.0, step))
-    t -= t[len(t) // 2]
-    resolution = PHASE_STEP / max(float(t[-1] - t[0]), 1.0)
+    times = np.cumsum(np.where(step > PHASE_GAP, 1.0, step))
+    times -= times[len(times) // 2]
+    resolution = PHASE_STEP / max(float(times[-1] - times[0]), 1.0)
     steps = int(relative_range / resolution)
-    rate = 1.0 + resolution * np.arange(-steps, steps + 1)
-    statistic = np.array([abs(np.exp(2j * np.pi * r * t).sum()) for r in rate])
-    return float(period / rate[np.argmax(statistic)])
+    relative_rates = 1.0 + resolution * np.arange(-steps, steps + 1)
+    statistic = np.array([abs(np.exp(2j * np.pi * r * times).sum()) for r in relative_rates])
+    return float(period / relative_rates[np.argmax(statistic)])
 
 
 TRACK_BLOCKS = 16
@@ -263,34 +272,35 @@ BRIDGED_SHARE = 0.5
 class SampleClock:
     """Converts samples to evenly spaced blocks; at most one block and the look-ahead are buffered.
 
-    ``clock`` is None until the period is learned from the first samples; it is then updated from
-    the stamps, which decrease only where the clock was set back. ``polled`` tells whether these are
-    stamps of new samples of a slower sensor. ``counts`` is changed in place. Once ``rate_changed``
-    is set, `pending` contains the samples from the change on, and no more samples are accepted.
+    ``clock`` is None until the period is learned from the first samples. Later, the period is
+    updated from the stamps, which decrease only where the clock was set back. ``polled``
+    tells whether a slower sensor is polled, as in `learn_clock`. ``counts`` is changed in place.
+    Once ``rate_changed`` is set, `pending` contains the samples from the change on, and no more
+    samples are accepted.
     """
 
     def __init__(
         self, axes: int, settings: SegmenterSettings, polled: bool, counts: Counts
     ) -> None:
         self.clock: Clock | None = None
-        self.learned_ns = 0.0  # the period that was learned
+        self.learned_ns = 0.0  # the period that was learned from the first samples
         self.is_interleaved = False  # whether the first samples come from two IMUs
-        self._learned = LEARN  # number of samples from which it was learned
+        self._learned = LEARN  # number of samples from which the period was learned
         self.rate_changed = False
         self._settings = settings
         self._polled = polled
         self._counts = counts
-        self._reach = 0
-        # the first `_past` samples, at most `_reach`, are already processed
-        self._samples = ImuBatch.empty(axes)
-        self._past = 0
-        self._steps: Ints = np.empty(0, np.int64)  # index steps of the processed samples
-        self._blocks = 0
-        self._other_period = False  # whether the period of the last block differed
-        # stamps (the first and the last of each batch, without jitter) and total of the index steps
-        # since the period was updated; None after a gap
+        self._reach = 0  # look-ahead of the clock
+        self._samples = ImuBatch.empty(axes)  # buffered samples
+        self._past = 0  # number of buffered samples that are already processed, at most `_reach`
+        self._steps: Ints = np.empty(0, np.int64)  # index steps of the last processed samples
+        self._blocks = 0  # number of processed blocks
+        # whether the mean step of the last block differed from the period of the clock
+        self._other_period = False
+        # stamps since the period was updated, or None after a gap; without jitter, only the first
+        # and the last stamp of each batch
         self._tracked: list[Stamps] | None = None
-        self._tracked_steps = 0
+        self._tracked_steps = 0  # sum of the index steps between these stamps
 
     @property
     def pending(self) -> ImuBatch:
@@ -311,26 +321,26 @@ class SampleClock:
         return self._process_ready(0)
 
     def _learn(self, number: int) -> None:
-        """Learn the period from the first samples; drop those that contain no time."""
+        """Learn the period from the first samples; exclude samples whose stamps do not advance."""
         first, self._learned = self._samples.stamps_ns[:number], number
-        equal = int(np.argmax(first != first[0])) or len(first)
-        if equal <= LEARN // FEWEST_STEPS:
+        number_untimed = int(np.argmax(first != first[0])) or len(first)
+        if number_untimed <= LEARN // FEWEST_STEPS:
             self.clock = learn_clock(first, self._polled, self._settings.declared_rate)
-            equal = len(first)
+            number_untimed = len(first)
         if self.clock is None:
-            self._counts.untimed += equal
-            self._past = equal
+            self._counts.untimed += number_untimed
+            self._past = number_untimed
             self._release()
         else:
             first_rows = self._samples.rows[:, :number]
             self.is_interleaved = not self._polled and are_interleaved(first_rows)
-            if self.is_interleaved:  # these are no bursts: the end is found sooner
+            if self.is_interleaved:  # with jitter instead of bursts, the end is found sooner
                 period_ns = self.clock.period_ns
                 self.clock = replace(self.clock, step_ns=period_ns, bursty=False, jitter=True)
             self.learned_ns, self._reach = self.clock.period_ns, self.clock.look_ahead
 
     def _process_ready(self, look_ahead: int) -> list[ImuBatch]:
-        """Process the samples before the look-ahead: complete blocks, or all if it is 0."""
+        """Process complete blocks before the look-ahead, or all samples if the look-ahead is 0."""
         begin, steps = self._past, [np.empty(0, np.int64)]
         while self.clock is not None and not self.rate_changed:
             ready = len(self._samples) - self._past - look_ahead
@@ -352,7 +362,7 @@ class SampleClock:
     def _process(self, n: int, clock: Clock) -> Ints:
         """Detect gaps and a change of the rate in the next n samples.
 
-        Returns the steps of the sample index up to a change: above 1 where samples are
+        Returns the steps of the sample index up to a change of the rate: above 1 where samples are
         interpolated, 0 where the data are split.
         """
         begin, stamps = self._past, self._samples.stamps_ns
@@ -365,23 +375,26 @@ class SampleClock:
         if not is_even:
             lost, split = self._find_gaps(step, clock)
         steps = np.where(split, 0, 1 + lost)
-        same = n if clock.bursty else self._count_same_rate(step, steps, clock)
-        self.rate_changed = same < n
-        lost, steps, split = lost[:same], steps[:same], split[:same]
+        unchanged = n if clock.bursty else self._count_same_rate(step, steps, clock)
+        self.rate_changed = unchanged < n
+        lost, steps, split = lost[:unchanged], steps[:unchanged], split[:unchanged]
         if not is_even:
             self._counts.lost += int(lost.sum())
             self._counts.interpolated += int(lost[~split].sum())
-            self._counts.splits += Counter(gap=int(np.count_nonzero(split & (step[:same] >= 0))))
-        if same:
-            self._track(stamps[begin : begin + same], steps, clock)
+            self._counts.splits += Counter(
+                gap=int(np.count_nonzero(split & (step[:unchanged] >= 0)))
+            )
+        if unchanged:
+            self._track(stamps[begin : begin + unchanged], steps, clock)
             self._steps = np.concatenate([self._steps, steps])[-self._reach :]
-            self._past += same
+            self._past += unchanged
         return steps
 
     def _find_gaps(self, step: Stamps, clock: Clock) -> tuple[Ints, Flags]:
-        """Return the number of samples lost before each of the next n, and where to split them.
+        """Return how many samples were lost before each of the next n samples, and where to split.
 
-        ``step``, (n,), are the steps of the stamps in ns. Short gaps are interpolated, not split.
+        ``step``, (n,), are the steps of the stamps in ns. The data are not split at short gaps,
+        which are interpolated.
         """
         lost, split = np.zeros(len(step), np.int64), step < 0
         interpolated: Counter[int] = Counter()  # number of interpolated samples of each clock block
@@ -394,11 +407,11 @@ class SampleClock:
         return lost, split
 
     def _count_same_rate(self, step: Stamps, steps: Ints, clock: Clock) -> int:
-        """Return the number of samples before a change of the rate; all if it does not change.
+        """Return how many samples precede a change of the rate; all n if the rate does not change.
 
         ``step``, (n,), are the steps of the stamps in ns; ``steps``, (n,), the steps of the index.
         """
-        # excludes the samples from which the period was learned, or learning could repeat forever
+        # without the samples from which the period was learned, else learning could repeat forever
         first = max(0, self._learned - self._blocks * CLOCK_BLOCK)
         begins = np.arange(first, len(step) - CLOCK_BLOCK // 4 + 1, CLOCK_BLOCK)
         if not len(begins):
@@ -408,22 +421,22 @@ class SampleClock:
         elapsed = np.add.reduceat(np.where(steps > 0, step, 0), begins)
         period = elapsed / np.maximum(np.add.reduceat(steps, begins), 1)
         differs = np.abs(period / clock.period_ns - 1.0) > RATE_CHANGE
-        # with jitter, two blocks must differ: one may have several undetected losses
-        before = np.concatenate([[self._other_period], differs[:-1]])
-        changed = differs & (before | (not clock.jitter))
-        long = RATE_CHANGE_STEP * clock.step_ns
-        for i in np.flatnonzero(np.maximum.reduceat(step, begins) > long):
-            here = step[begins[i] : begins[i] + CLOCK_BLOCK]
-            changed[i] |= float(np.median(here)) > long
-        last = int(np.argmax(changed)) if changed.any() else len(begins) - 1
-        self._other_period = bool(differs[last])
-        if not changed[last]:
+        # with jitter, a change needs two blocks: a single block may have several undetected losses
+        differed_before = np.concatenate([[self._other_period], differs[:-1]])
+        changed = differs & (differed_before | (not clock.jitter))
+        long_step = RATE_CHANGE_STEP * clock.step_ns
+        for i in np.flatnonzero(np.maximum.reduceat(step, begins) > long_step):
+            block_steps = step[begins[i] : begins[i] + CLOCK_BLOCK]
+            changed[i] |= float(np.median(block_steps)) > long_step
+        block = int(np.argmax(changed)) if changed.any() else len(begins) - 1
+        self._other_period = bool(differs[block])
+        if not changed[block]:
             return number
-        here = step[begins[last] : begins[last] + CLOCK_BLOCK]
-        unusual = here > long
-        if not self.is_interleaved:  # else some steps are always short
-            unusual |= RATE_CHANGE_STEP * here < clock.step_ns
-        return int(begins[last]) + int(np.argmax(unusual))
+        block_steps = step[begins[block] : begins[block] + CLOCK_BLOCK]
+        is_unusual = block_steps > long_step
+        if not self.is_interleaved:  # if interleaved, some steps are always short
+            is_unusual |= RATE_CHANGE_STEP * block_steps < clock.step_ns
+        return int(begins[block]) + int(np.argmax(is_unusual))
 
     def _count_lost(self, steps: Ints, clock: Clock) -> int:
         """Return how many samples were lost in a pause, from the delays before and after it.
@@ -441,7 +454,7 @@ class SampleClock:
         after = after[: int(jumps[0]) + 1 if len(jumps) else None]
         period, origin = clock.period_ns, stamps[at - 1]
         delay = (stamps[at - len(index) : at] - origin) - period * (index - index[-1])
-        # as if no sample were lost
+        # delays if no sample was lost in the pause
         delay_after = (after - origin) - period * np.arange(1, len(after) + 1)
         increase = (float(delay_after.min()) - float(delay.min())) / period
         pause = (stamps[at] - origin) / period - 1.0
@@ -450,7 +463,7 @@ class SampleClock:
     def _blocks_of(self, begin: int, steps: Ints) -> list[ImuBatch]:
         """Return the samples from buffer position ``begin`` on as blocks, with gaps interpolated.
 
-        ``steps``, (n,), are their index steps.
+        ``steps``, (n,), are the index steps of the samples.
         """
         n = len(steps)
         samples = self._samples.part(slice(begin, begin + n))
@@ -494,9 +507,9 @@ class SampleClock:
             period = rayleigh_period(tracked, clock.period_ns, PERIOD_TRACKING)
         else:
             period = float(tracked[-1] - tracked[0]) / self._tracked_steps
-        off = abs(period / clock.period_ns - 1.0)
+        change = abs(period / clock.period_ns - 1.0)
         if clock.bursty:
-            self.rate_changed = off > RATE_CHANGE_BURSTY
+            self.rate_changed = change > RATE_CHANGE_BURSTY
             # a single pause changes the mean over the blocks as much as a real change of the period
             period = clock.period_ns + 0.25 * (period - clock.period_ns)
         if not self.rate_changed:

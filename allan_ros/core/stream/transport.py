@@ -32,16 +32,16 @@ LATELY_S = 20.0
 
 LATELY = f' in the last {LATELY_S:g} s'
 UNTIL_NOW = f'{LATELY} until now'
-"""`LATELY_S`, as text of a finding about a past event, and about one that still occurs."""
+"""Texts for `LATELY_S` in findings: about past events, and about events that still occur."""
 
 REPORTED_LOST_SHARE = 1e-3
 """Smallest share of messages lost in transport that is reported."""
 
 PRESENT_S = 3.0
-"""Time in s since its last occurrence for which an event is a present fault, not a past one."""
+"""An event is a present fault for this time in s after its last occurrence, then a past event."""
 
 STEP_S = 0.2
-"""Smallest step in s of the clock of the stamps that is reported."""
+"""Smallest step in s by which the clock of the stamps was set that is reported."""
 
 SILENCE_S = 1.0
 """Shortest time in s without messages that is reported as an interruption."""
@@ -50,14 +50,16 @@ ENVELOPE_S = 5.0
 """Time in s over which the smallest delay between stamp and reception is determined."""
 
 LIVE_PACE = 0.2
-"""Largest relative difference between stamps and time of reception that is regarded as live. If a
-recording is played at another speed, clock steps cannot be told from gaps."""
+"""Largest relative difference between the speeds of the stamps and of the times of reception at
+which the input is regarded as live. If a recording is played at another speed, steps of the clock
+cannot be distinguished from gaps."""
 
 CAUSES_OF_LOSS = ('messages_lost', 'silent_s', 'stamps_leapt', 'frame_changed', 'dropped')
-"""Counts of known causes of missing samples."""
+"""Keys of the counts of events that are known to cause missing samples."""
 
 EXCUSED = 10
-"""Number of observations with usable samples for which a known cause explains missing samples."""
+"""Number of observations with usable samples, after an event of `CAUSES_OF_LOSS`, for which this
+event explains missing samples."""
 
 STARTUP_S = 5.0
 """Missing messages are not reported during the first seconds, because discovery takes time."""
@@ -65,7 +67,7 @@ STARTUP_S = 5.0
 STUCK_S, STUCK_RUNS = 1.0, 20
 """An axis is stuck if its value has not changed for this time in s, and for this many times the
 number of samples of its longest earlier run of equal values. An earlier run does not count if it
-was longer than this many times all runs before it, because the axis was stuck."""
+was longer than this many times the longest run before it, because the axis was then stuck."""
 
 
 @dataclass
@@ -73,7 +75,7 @@ class TransportStatistics:
     """Numbers of received, lost and unusable messages of a subscription."""
 
     received: int = 0
-    sent_before: int = 0  # sent before the first received one: before the subscription, or lost
+    sent_before: int = 0  # sent before the first received message, and perhaps lost
     skipped_numbers: int = 0  # missing sequence numbers of the publishers
     reported_lost: int = 0  # losses reported by the middleware
     malformed: int = 0  # received messages that are not Imu messages
@@ -98,14 +100,15 @@ class Arrivals:
         self._statistics = statistics
         self._origin_ns = self._lost = 0
         self._latest: tuple[float, float] | None = None  # stamp and reception of the latest message
-        self._offsets: deque[tuple[float, float]] = deque()  # reception and offset of each message
+        # time of reception, and stamp minus this time, of the messages within `ENVELOPE_S`
+        self._offsets: deque[tuple[float, float]] = deque()
 
     def update(self, stamps_ns: NDArray[np.int64], received_s: NDArray[np.float64]) -> None:
         """Process the next n messages.
 
         ``stamps_ns``, (n,), are the stamps in ns, and ``received_s``, (n,), are the times of
-        reception on a steady clock in s.
-        The statistics already contain the messages that were lost before and between these.
+        reception on a steady clock in s. The statistics must already count the messages that were
+        lost before and between these n messages.
         """
         lost, self._lost = self._statistics.lost - self._lost, self._statistics.lost
         if self._latest is None and len(stamps_ns):
@@ -144,7 +147,7 @@ class ConstantAxes:
     def __init__(self) -> None:
         self._last = np.full(len(AXES), np.nan)
         self._run = np.zeros(len(AXES), np.int64)  # number of equal values up to the latest sample
-        self._longest = np.zeros(len(AXES), np.int64)  # longest run that has ended, unless stuck
+        self._longest = np.zeros(len(AXES), np.int64)  # longest ended run without a fault
 
     def update(self, samples: NDArray[np.float64]) -> None:
         """Process the next samples, (n, 6), in any unit."""
@@ -162,14 +165,14 @@ class ConstantAxes:
         self._last = samples[-1].copy()
 
     def stuck(self, rate_hz: float) -> tuple[str, ...]:
-        """Return the stuck axes at this sample rate."""
+        """Return the axes that are stuck, if the sample rate is ``rate_hz``."""
         needed = np.maximum(STUCK_S * rate_hz, STUCK_RUNS * self._longest)
         stuck = (self._longest > 0) & (self._run > needed) & np.isfinite(self._last)
         return tuple(AXES[i] for i in np.flatnonzero(stuck))
 
 
 def faults_of(findings: Iterable[Finding], axis: str = '') -> tuple[Finding, ...]:
-    """Return the findings that are `UNUSABLE`, of one axis if it is given."""
+    """Return the findings with an `UNUSABLE` id, about all axes or the given ``axis``."""
     return tuple(
         f for f in findings if f.id in UNUSABLE and (not (axis and f.axes) or axis in f.axes)
     )
@@ -186,10 +189,11 @@ class TransportMonitor:
         self._topic = topic
         self._began = self._last_message = self._last_usable = time_s
         self._messages = self._usable = self._samples = 0
-        # (time, counts at this time) of `LATELY_S`; most counts have the id of their finding
+        # (time in s, counts at this time) within `LATELY_S`; most keys are ids of findings
         self._history: deque[tuple[float, Counter[str]]] = deque()
         self._excused = 0  # number of observations for which a cause still explains missing samples
-        self._unexplained = self._absent = 0  # missing samples without a cause; these reported
+        self._unexplained = 0  # number of missing samples without a known cause
+        self._absent = 0  # number of these samples that are reported as missing
 
     def set_received(self, time_s: float, messages: int) -> None:
         """Store the number of messages received since the start, and when it last increased."""
@@ -227,16 +231,16 @@ class TransportMonitor:
         if health.frame_id != health.sums_frame_id:
             shown = health.sums_frame_id
             present.append(finding('frame_waits', present=health.frame_id, shown=shown))
-        noise = {
+        noise_findings = {
             'noise_increased': ('noise_increased', 'gyro_unit_changed'),
             'noise_decreased': ('noise_decreased',),
         }
-        live = (*LIVE, *noise.get(health.state, ()))
-        known = {f.id for f in health.faults}
+        live = (*LIVE, *noise_findings.get(health.state, ()))
+        known_ids = {f.id for f in health.faults}
         present += health.faults
-        present += [f for f in stream if f.id in live and f.id not in known]
+        present += [f for f in stream if f.id in live and f.id not in known_ids]
         events, past = self._recent_findings(health)
-        # present ones first: a past event must not hide a fault
+        # present findings first: a past event must not hide a present fault
         return *by_consequence([*events, *present]), *by_consequence(past)
 
     def _update(self, time_s: float, transport: TransportStatistics, health: StreamHealth) -> None:
@@ -278,7 +282,7 @@ class TransportMonitor:
             self._excused = EXCUSED
         if not self._excused:
             before, self._unexplained = self._unexplained, self._unexplained + more['missing']
-            # the decision on the latest samples may still change: use the smaller of two calls
+            # the latest samples may still be found not to be missing: use the smaller of two counts
             self._absent = max(self._absent, min(self._unexplained, before))
         elif progress:
             self._excused -= 1
@@ -307,44 +311,51 @@ class TransportMonitor:
         return []
 
     def _recent_findings(self, health: StreamHealth) -> tuple[list[Finding], list[Finding]]:
-        """Return the findings about events that still occur or occurred within `LATELY_S`.
+        """Return the findings about present events, and about past events within `LATELY_S`.
 
-        Both are ordered from causes to effects.
+        Each of the two lists is ordered from causes to effects.
         """
         time_s, counts = self._history[-1]
-        oldest = self._history[0][1]
-        former = [old for then, old in self._history if then <= time_s - PRESENT_S] or [oldest]
-        more, latest = _more(counts, oldest), _more(counts, former[-1])
-        # these samples were excluded because the clock was set back
-        more['backward_stamps'] -= (BACKWARD_RUN - 1) * more['clock_jumps']
-        found = event_findings(more, health, LATELY)
-        if more['stamps_leapt'] > 0:
-            found.insert(0, finding('stamps_leapt', seconds=more['stamps_leapt']))
-        if times := more['interrupted']:
-            found.append(finding('interrupted', times=times, seconds=more['silent_s']))
-        if (spikes := more['spikes']) > 0:
-            share = spikes / max(more['used'], 1)
+        oldest_counts = self._history[0][1]
+        earlier_counts = [old for then, old in self._history if then <= time_s - PRESENT_S] or [
+            oldest_counts
+        ]
+        recent_counts = _more(counts, oldest_counts)
+        present_counts = _more(counts, earlier_counts[-1])
+        # backward samples that were excluded because the clock was set back are not reported
+        recent_counts['backward_stamps'] -= (BACKWARD_RUN - 1) * recent_counts['clock_jumps']
+        found = event_findings(recent_counts, health, LATELY)
+        if recent_counts['stamps_leapt'] > 0:
+            found.insert(0, finding('stamps_leapt', seconds=recent_counts['stamps_leapt']))
+        if times := recent_counts['interrupted']:
+            found.append(finding('interrupted', times=times, seconds=recent_counts['silent_s']))
+        if (spikes := recent_counts['spikes']) > 0:
+            share = spikes / max(recent_counts['used'], 1)
             found.append(finding('spikes', count=spikes, share=share, when=LATELY))
-        received, lost, absent = more['received'], more['messages_lost'], more['samples_missing']
+        received, lost = recent_counts['received'], recent_counts['messages_lost']
+        absent = recent_counts['samples_missing']
         if lost and lost >= REPORTED_LOST_SHARE * (received + lost):
             found.append(finding('messages_lost', lost=lost, share=lost / (received + lost)))
         # after a change to a lower rate, samples seem to be missing until the rate is learned
-        if absent >= REPORTED_LOST_SHARE * (received + absent) > 0 and not more['rate_changed']:
+        if (
+            absent >= REPORTED_LOST_SHARE * (received + absent) > 0
+            and not recent_counts['rate_changed']
+        ):
             share = absent / (received + absent)
             found.append(finding('samples_missing', count=absent, share=share))
-        past = [f for f in found if not latest[f.id] > 0]
+        past = [f for f in found if not present_counts[f.id] > 0]
         return [_until_now(f) for f in found if f not in past], past
 
 
 def _until_now(event: Finding) -> Finding:
-    """Return the finding about an event with a text that says that it still occurs."""
+    """Return the finding about an event, with a text that says that the event still occurs."""
     if 'when' not in event.values:
         return event
     return replace(event, values={**event.values, 'when': UNTIL_NOW})
 
 
 def _more(counts: Counter[str], before: Counter[str]) -> Counter[str]:
-    """Return by how much each count has increased."""
+    """Return by how much each count has increased since ``before``."""
     more = counts.copy()
     more.subtract(before)
     return more

@@ -79,8 +79,9 @@ def render_report(
     """Return the HTML of the report.
 
     ``units`` selects the units that are shown at first, 'deg/h' or 'SI'; a switch in the page
-    changes them. Without ``signal``, the charts of the raw signal are omitted. ``method`` contains
-    further rows for the table of the method, and ``files`` the names of files in the same folder.
+    changes the units. Without ``signal``, the charts of the raw signal and of values over time are
+    omitted. ``method`` contains further rows for the table of the method, and ``files`` the names
+    of files in the same folder.
     """
     name = results.identity.label or 'IMU'
     sensors = {
@@ -137,7 +138,7 @@ def render_report(
 
 
 def _fold(id: str, title: str, content: Sequence[str], shown: bool = False) -> Iterator[str]:
-    """Yield a section that its heading opens and closes; nothing if ``content`` is empty."""
+    """Yield a section that a click on its heading opens or closes; nothing without content."""
     if any(content):
         yield f'<details id="{id}"{" open" if shown else ""}><summary><h2>{title}</h2></summary>'
         yield from content
@@ -152,7 +153,7 @@ def _hosts(charts: Sequence[Mapping[str, Any]], kind: str) -> list[str]:
 
 
 def _pair(sensors: Iterable[str], parts: Iterable[Sequence[str]]) -> list[str]:
-    """Return the HTML parts of the sensors in two columns; nothing without parts."""
+    """Return the HTML ``parts`` of the sensors in columns; nothing if no sensor has a part."""
     content = [
         f'<div><h3>{SENSOR_NAMES[sensor]}</h3>{"".join(part)}</div>'
         for sensor, part in zip(sensors, parts)
@@ -171,14 +172,15 @@ def _page(title: str, body: str, data: str) -> str:
         "default-src 'none'; base-uri 'none'; form-action 'none'; "
         f"style-src 'unsafe-inline'; img-src data:; script-src {hashes}"
     )
-    run = ''.join(f'<script>{script}</script>\n' for script in scripts)
+    script_elements = ''.join(f'<script>{script}</script>\n' for script in scripts)
     return (
         '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         f'<meta http-equiv="Content-Security-Policy" content="{policy}">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
         '<meta name="color-scheme" content="light dark">\n'
         f'<title>{escape(title)}</title>\n<style>\n{style}</style>\n</head>\n<body>\n{body}\n'
-        f'<script type="application/json" id="data">{data}</script>\n{run}</body>\n</html>\n'
+        f'<script type="application/json" id="data">{data}</script>\n{script_elements}'
+        '</body>\n</html>\n'
     )
 
 
@@ -212,10 +214,10 @@ def _items(texts: Iterable[str]) -> str:
 
 def _verdict_section(results: Results, verdict: Verdict) -> str:
     summary = in_units(lambda system: escape(verdict_of(results, system).summary))
-    found = findings_and_notes(results)
+    findings = findings_and_notes(results)
     counts = [
         f'{n} {word}{"" if n == 1 else "s"}'
-        for n, word in zip(map(len, found), ('finding', 'note'))
+        for n, word in zip(map(len, findings), ('finding', 'note'))
         if n
     ]
     link = f'<a href="#findings">{" and ".join(counts)}</a>' if counts else ''
@@ -242,18 +244,18 @@ def _comparisons(
         parts = [[*datasheet_html(axes, results.datasheet, checks)] for axes in sensors.values()]
         title = f'Compared with the datasheet of {name}'
         yield from _fold('datasheet', title, _pair(sensors, parts), shown=True)
-    for i, (run, baseline) in enumerate(results.baselines.items()):
-        compared = [c for c in results.comparisons if c.reference == run]
-        parts = [[*baseline_html(axes, baseline, compared)] for axes in sensors.values()]
+    for i, (reference, baseline) in enumerate(results.baselines.items()):
+        baseline_checks = [c for c in results.comparisons if c.reference == reference]
+        parts = [[*baseline_html(axes, baseline, baseline_checks)] for axes in sensors.values()]
         yield from _fold(
-            f'baseline-{i}', f'Compared with {escape(run)}', _pair(sensors, parts), True
+            f'baseline-{i}', f'Compared with {escape(reference)}', _pair(sensors, parts), True
         )
 
 
 def _method(results: Results, method: Mapping[str, str]) -> Iterator[str]:
-    known, counts = results.provenance, results.provenance.counts
+    provenance, counts = results.provenance, results.provenance.counts
     inputs: dict[str, str] = {}
-    for s in known.sources:
+    for s in provenance.sources:
         text = ', '.join(filter(None, (s.topic, s.type, s.storage)))
         inputs[s.path] = '; '.join(filter(None, (inputs.get(s.path), text)))
     samples = {
@@ -272,9 +274,9 @@ def _method(results: Results, method: Mapping[str, str]) -> Iterator[str]:
         'machine': f'{platform.system()} {platform.machine()}',
     }
     yield f'<h3>Inputs</h3>{facts_html(inputs)}<h3>Samples</h3>{facts_html(samples)}'
-    yield f'<h3>How to repeat it</h3>{facts_html({**method, **versions})}'
-    if known.settings:
-        rows = {key: _value(value) for key, value in known.settings.items()}
+    yield f'<h3>How to repeat the analysis</h3>{facts_html({**method, **versions})}'
+    if provenance.settings:
+        rows = {key: _value(value) for key, value in provenance.settings.items()}
         yield f'<details><summary>All settings ({len(rows)})</summary>{facts_html(rows)}</details>'
 
 
@@ -292,18 +294,19 @@ def _motion(results: Results) -> Iterator[str]:
     if results.motion is not None:
         yield '<div class="charts pair" data-kind="motion"></div>'
         yield (
-            '<p class="note">Each point is one drive between two rests. 1 (dashed): the error that '
-            'the noise at rest predicts, with the rotation of the Earth, whose direction is '
-            'unknown. If the noise itself is larger in motion, all drives have large ratios; scale '
-            'factors and misalignments enlarge the ratios of drives with much rotation.</p>'
+            '<p class="note">Each point is one drive between two rests. The dashed line at 1 is '
+            'the error predicted from the noise at rest and from the rotation of the Earth, whose '
+            'direction is unknown. If the noise itself is larger in motion, all drives have large '
+            'ratios. Scale factors and misalignments enlarge the ratios of drives with much '
+            'rotation.</p>'
         )
 
 
 def _findings_section(results: Results) -> Iterator[str]:
-    shown, notes = findings_and_notes(results)
-    if shown or notes:
+    findings, notes = findings_and_notes(results)
+    if findings or notes:
         yield '<section id="findings"><h2>Findings</h2>'
-        yield from (_block(finding, results) for finding in shown)
+        yield from (_block(finding, results) for finding in findings)
         if notes:
             yield f'<details><summary>{len(notes)} note{"" if len(notes) == 1 else "s"}</summary>'
             yield from (_block(note, results) for note in notes)

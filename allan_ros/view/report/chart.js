@@ -1,13 +1,14 @@
 // Copyright 2026 the allan_ros authors
 // SPDX-License-Identifier: Apache-2.0
-// A chart as SVG: axes, zoom, a cursor with its numbers, and files. Colors are CSS variables.
+// Draws a chart as SVG, with axes, zoom, numbers at the cursor, and saving to files. The colors are CSS
+// variables.
 'use strict';
 
 const Chart = (() => {
   const all = [];
   const SUPERSCRIPT = { '-': '⁻', 0: '⁰', 1: '¹', 2: '²', 3: '³', 4: '⁴', 5: '⁵', 6: '⁶', 7: '⁷', 8: '⁸', 9: '⁹' };
   const FONT = 'system-ui, -apple-system, "Segoe UI", Roboto, sans-serif';
-  const LABEL_ROOM = { x: 46, y: 24 };  // pixels that a label takes along its axis
+  const LABEL_ROOM = { x: 46, y: 24 };  // pixels that a label occupies along its axis
   const [LEFT, RIGHT, ABOVE, BELOW] = [52, 10, 24, 40];  // margins of the plot in pixels
   const HEAD = 26;  // height of the title of a saved chart
 
@@ -16,7 +17,8 @@ const Chart = (() => {
   const clean = (value) => Number(value.toPrecision(12));
   const px = (v) => String(Math.round(v * 10) / 10);
 
-  // A number with four significant digits; with a power of ten if it would begin or end in many zeros.
+  // Return a number as text with `digits` significant digits. Very small and very large numbers are
+  // written with a power of ten.
   function number(value, digits = 4) {
     if (value === null || value === undefined || !Number.isFinite(value)) return '–';
     if (value === 0) return '0';
@@ -25,7 +27,7 @@ const Chart = (() => {
     return `${(value / 10 ** exponent).toFixed(digits - 1)}·10${power(exponent)}`;
   }
 
-  // The label of a tick: as short as the value allows.
+  // Return the label of a tick, which is as short as the value allows.
   function tick(value) {
     const size = Math.abs(value);
     if (value === 0 || (size >= 1e-3 && size < 1e5)) return String(clean(value)).replace('-', '−');
@@ -34,7 +36,8 @@ const Chart = (() => {
     return lead === 1 ? `10${power(exponent)}` : `${lead}·10${power(exponent)}`.replace('-', '−');
   }
 
-  // Round values of a logarithmic range: digits times every power of ten.
+  // Return round values for a logarithmic axis: each of `digits` times every power of ten, or every
+  // `step`-th power.
   function round(min, max, digits, step = 1) {
     const values = [];
     for (let e = Math.floor(Math.log10(min) / step) * step; 10 ** e <= max; e += step) {
@@ -43,7 +46,7 @@ const Chart = (() => {
     return values.filter((v) => v >= min * (1 - 1e-9) && v <= max * (1 + 1e-9));
   }
 
-  // Evenly spaced round values.
+  // Return about `count` evenly spaced round values between `min` and `max`.
   function even(min, max, count) {
     const unit = 10 ** Math.floor(Math.log10((max - min) / count));
     const step = unit * [1, 2, 5, 10].find((s) => s * unit * count >= (max - min) * (1 - 1e-9));
@@ -52,17 +55,18 @@ const Chart = (() => {
     return values;
   }
 
-  // The labeled values of an axis with a given length in pixels: at least three if they fit.
+  // Return the values that are labeled on an axis: at least three, if they fit. `pixels` is the length
+  // of the axis, and `room` the length that a label occupies.
   function labeled(log, min, max, pixels, room) {
     const at = (v) => (log ? (Math.log10(v) * pixels) / Math.log10(max / min) : (v * pixels) / (max - min));
     const fits = (values) => values.length >= 3 && values.every((v, i) => i === 0 || at(v) - at(values[i - 1]) >= room);
     const decades = log ? [[[1, 2, 5]], [[1, 3]], [[1]], [[1], 2], [[1], 3], [[1], 5]].map((how) => round(min, max, ...how)) : [];
-    const evenly = [8, 7, 6, 5, 4, 3, 2].map((count) => even(min, max, count));
-    const closer = [3, 4, 5, 6, 8, 10].map((count) => even(min, max, count));
-    return [...decades, ...evenly].find(fits) || closer.find((values) => values.length >= 3);
+    const fewValues = [8, 7, 6, 5, 4, 3, 2].map((count) => even(min, max, count));
+    const manyValues = [3, 4, 5, 6, 8, 10].map((count) => even(min, max, count));
+    return [...decades, ...fewValues].find(fits) || manyValues.find((values) => values.length >= 3);
   }
 
-  // An element with text and children; text is never read as HTML.
+  // Create an HTML element with children. A child that is a text is never parsed as HTML.
   function element(tag, attributes = {}, ...children) {
     const made = document.createElement(tag);
     for (const [name, value] of Object.entries(attributes)) made.setAttribute(name, value);
@@ -70,18 +74,18 @@ const Chart = (() => {
     return made;
   }
 
-  // The light colors of a CSS variable, for files and paper.
+  // Return the markup with each CSS variable replaced by its color in the light theme, for files.
   function onPaper(markup) {
     const root = document.documentElement.classList;
-    const already = root.contains('printing');
+    const wasPrinting = root.contains('printing');
     root.add('printing');
     const style = getComputedStyle(document.documentElement);
     const light = markup.replace(/var\(--([\w-]+)\)/g, (_, name) => style.getPropertyValue(`--${name}`).trim());
-    if (!already) root.remove('printing');
+    if (!wasPrinting) root.remove('printing');
     return light;
   }
 
-  // The pen: functions that draw into a chart. Values outside the plot are clipped.
+  // A pen draws lines, areas, markers and labels into a chart. Values outside the plot are clipped.
   class Pen {
     constructor(box, x, y, id) {
       Object.assign(this, { box, x, y, id, parts: [], occupied: [] });
@@ -94,18 +98,18 @@ const Chart = (() => {
     }
     path(xs, ys) {
       let d = '';
-      let open = false;
+      let isConnected = false;
       xs.forEach((v, i) => {
         const y = ys[i] === null || ys[i] === undefined ? NaN : this.y(ys[i]);
-        if (Number.isFinite(y)) d += `${open ? 'L' : 'M'}${px(this.x(v))} ${px(y)}`;
-        open = Number.isFinite(y);
+        if (Number.isFinite(y)) d += `${isConnected ? 'L' : 'M'}${px(this.x(v))} ${px(y)}`;
+        isConnected = Number.isFinite(y);
       });
       return d;
     }
     line(xs, ys, { color, width = 1.5, dash = '' }) {
       this.parts.push(`<path d="${this.path(xs, ys)}" fill="none" stroke="${color}" stroke-width="${width}" stroke-linejoin="round"${dash ? ` stroke-dasharray="${dash}"` : ''}/>`);
     }
-    // The area between two lines, in pieces between missing values.
+    // Draw the area between two lines. Missing values split the area into pieces.
     area(xs, low, high, color) {
       let piece = [];
       const close = () => {
@@ -119,7 +123,7 @@ const Chart = (() => {
       xs.forEach((_, i) => (low[i] !== null && high[i] !== null && Number.isFinite(this.y(low[i])) ? piece.push(i) : close()));
       close();
     }
-    // A marker of each axis, so that axes differ in shape as well as in color.
+    // Draw a marker at each point. The shape of the marker shows the axis, as its color does.
     marks(xs, ys, label, color, size = 2.6, fill = 'var(--paper)') {
       let d = '';
       xs.forEach((v, i) => {
@@ -135,7 +139,7 @@ const Chart = (() => {
     cross(x, y, color) {
       this.parts.push(`<path d="M${px(x - 6)} ${px(y)}h12M${px(x)} ${px(y - 6)}v12" stroke="${color}" stroke-width="2"/>`);
     }
-    // A vertical stripe between two values of x, at least two pixels wide.
+    // Draw a vertical stripe between two values of x, at least two pixels wide.
     stripe(from, to, fill, hatch = '') {
       const { left, top, width, height } = this.box;
       const start = Math.max(left, this.x(from));
@@ -145,14 +149,14 @@ const Chart = (() => {
       const veil = hatch ? `<rect x="${px(start)}" y="${top}" width="${px(wide)}" height="${height}" fill="var(--paper)" opacity=".75"/>` : '';
       this.parts.push(`${veil}<rect x="${px(start)}" y="${top}" width="${px(wide)}" height="${height}" fill="${hatch ? `url(#${this.id}-${hatch})` : fill}"/>`);
     }
-    // A vertical line with an optional text at its top, at a free height.
+    // Draw a vertical line. An optional text is placed near its top, where no other text is.
     rule(v, color, words = '', dash = '') {
       const x = this.x(v);
       if (!this.inside(x, this.box.top)) return;
       this.parts.push(`<path d="M${px(x)} ${this.box.top}v${this.box.height}" stroke="${color}"${dash ? ` stroke-dasharray="${dash}"` : ''}/>`);
       if (words) this.label(words, [0, 1, 2, 3].map((row) => [x, this.box.top + 9 + 15 * row]), color);
     }
-    // A text at the first of its possible places, (x, y) in pixels, that is free.
+    // Draw a text at the first free place of `places`, which are (x, y) in pixels.
     label(words, places, color) {
       const { left, top, width, height } = this.box;
       const wide = this.ruler.measureText(words).width;
@@ -168,10 +172,13 @@ const Chart = (() => {
   }
 
   // Create a chart that fills its host and shows its numbers at the cursor.
-  //   title, name: of a saved file; height: in pixels; zoomY: whether a rectangle can be selected
-  //   x, y: {log, label(), full()} with the complete range; xs: the points at which the cursor stops
-  //   legend(): letters of the axes that are drawn
-  //   draw(pen); describe(index) -> lines of the note, [text, color or ''] each; focus(index, y)
+  //   title, name: title of the chart, and file name without ending; height: height in pixels
+  //   zoomY: whether a range of y can be selected together with a range of x
+  //   x, y: {log, label(), full()}; log: whether the axis is logarithmic; full(): complete range
+  //   xs: values of x at which the cursor stops; legend(): letters of the axes that are drawn
+  //   draw(pen): draws the content
+  //   describe(index): lines of text at the cursor, each as [text, color or '']
+  //   focus(index, y): called when the cursor moves; returns whether the chart must be drawn again
   function create(host, spec) {
     const box = element('div', { class: 'plot', tabindex: '0', role: 'group', 'aria-label': `${spec.title}; arrow keys move from point to point` });
     const svg = document.createElementNS('http://www.w3.org/2000/svg', 'svg');
@@ -180,7 +187,7 @@ const Chart = (() => {
     box.append(svg, tip, spoken);
     host.append(box);
     const chart = { box, spec, labels: {}, zoom: null, at: null, id: `c${all.length}`, render, save, svg: markup };
-    let plot = null;  // geometry of the last drawing
+    let plot = null;  // sizes and scales of the latest drawing
 
     function scale(which, from, to) {
       const { log, full } = spec[which];
@@ -192,7 +199,7 @@ const Chart = (() => {
     }
 
     function render(width = host.clientWidth, height = spec.height) {
-      if (!width) return;  // in a closed part of the page
+      if (!width) return;  // the chart is in a closed section of the page
       const area = { left: LEFT, top: ABOVE, width: width - LEFT - RIGHT, height: height - ABOVE - BELOW };
       const x = scale('x', area.left, area.left + area.width);
       const y = scale('y', area.top + area.height, area.top);
@@ -210,20 +217,20 @@ const Chart = (() => {
         + `<g clip-path="url(#${chart.id})">${pen.parts.join('')}</g><path class="cursor" stroke="var(--ink-2)" stroke-dasharray="3 3"/><rect class="drag" fill="var(--ink-2)" opacity=".25" width="0"/>`;
     }
 
-    // Grid lines with labels; a logarithmic axis has a fine line for every digit.
+    // Return the grid lines and labels of an axis. A logarithmic axis has a grid line for every digit.
     function lines(which, { min, max, log, forward }, pixels) {
       const { left, top, width, height } = plot.area;
       const values = labeled(log, min, max, pixels, LABEL_ROOM[which]);
       chart.labels[which] = values.map((v) => [v, tick(v)]);
-      const fine = log ? round(min, max, Math.log10(max / min) > 7 ? [1] : [1, 2, 3, 4, 5, 6, 7, 8, 9]) : [];
+      const digitValues = log ? round(min, max, Math.log10(max / min) > 7 ? [1] : [1, 2, 3, 4, 5, 6, 7, 8, 9]) : [];
       const line = (v) => (which === 'x' ? `M${px(forward(v))} ${top}v${height}` : `M${left} ${px(forward(v))}h${width}`);
       const words = chart.labels[which].map(([v, text]) => (which === 'x'
         ? `<text x="${px(forward(v))}" y="${top + height + 16}" text-anchor="middle" fill="var(--ink-2)">${text}</text>`
         : `<text x="${left - 6}" y="${px(forward(v))}" text-anchor="end" dominant-baseline="central" fill="var(--ink-2)">${text}</text>`));
-      return [`<path d="${[...new Set([...fine, ...values])].map(line).join('')}" stroke="var(--grid)"/>`, ...words];
+      return [`<path d="${[...new Set([...digitValues, ...values])].map(line).join('')}" stroke="var(--grid)"/>`, ...words];
     }
 
-    // The chart as a file, in light colors with its title.
+    // Return the chart as an SVG file with its title, in the colors of the light theme.
     function markup() {
       if (!plot) render(640);
       const { width, height } = plot;
@@ -236,7 +243,7 @@ const Chart = (() => {
       const image = new Image();
       image.src = `data:image/svg+xml;charset=utf-8,${encodeURIComponent(markup())}`;
       await image.decode();
-      const canvas = element('canvas');  // three pixels for each pixel of the screen, sharp in print
+      const canvas = element('canvas');  // three times the resolution of the screen, for printing
       [canvas.width, canvas.height] = [3 * image.width, 3 * image.height];
       canvas.getContext('2d').drawImage(image, 0, 0, canvas.width, canvas.height);
       return canvas.toBlob((blob) => download(blob, `${spec.name}.png`));
@@ -263,8 +270,8 @@ const Chart = (() => {
       return [(event.clientX - rect.left) * plot.width / rect.width, (event.clientY - rect.top) * plot.width / rect.width];
     };
     const nearest = (value) => {
-      const far = spec.xs.map((v) => (v === null ? Infinity : Math.abs(plot.x.forward(v) - value)));
-      return far.indexOf(Math.min(...far));
+      const distances = spec.xs.map((v) => (v === null ? Infinity : Math.abs(plot.x.forward(v) - value)));
+      return distances.indexOf(Math.min(...distances));
     };
     let start = null;
     svg.addEventListener('pointermove', (event) => {
@@ -272,9 +279,9 @@ const Chart = (() => {
       show(nearest(x), y);
       if (!start) return;
       const drag = svg.querySelector('.drag');
-      const tall = spec.zoomY && Math.abs(y - start[1]) > 24;
+      const selectsY = spec.zoomY && Math.abs(y - start[1]) > 24;
       const { top, height } = plot.area;
-      for (const [name, value] of Object.entries({ x: Math.min(x, start[0]), width: Math.abs(x - start[0]), y: tall ? Math.min(y, start[1]) : top, height: tall ? Math.abs(y - start[1]) : height })) drag.setAttribute(name, value);
+      for (const [name, value] of Object.entries({ x: Math.min(x, start[0]), width: Math.abs(x - start[0]), y: selectsY ? Math.min(y, start[1]) : top, height: selectsY ? Math.abs(y - start[1]) : height })) drag.setAttribute(name, value);
     });
     svg.addEventListener('pointerdown', (event) => {
       if (event.pointerType !== 'mouse') return show(nearest(place(event)[0]), place(event)[1]);
@@ -289,20 +296,20 @@ const Chart = (() => {
       start = null;
       if (!from || Math.abs(to[0] - from[0]) < 8) return render();
       const range = (which, i) => [from[i], to[i]].map(plot[which].back).sort((a, b) => a - b);
-      const tall = spec.zoomY && Math.abs(to[1] - from[1]) > 24;
-      chart.zoom = { x: range('x', 0), y: tall ? range('y', 1) : null };
+      const selectsY = spec.zoomY && Math.abs(to[1] - from[1]) > 24;
+      chart.zoom = { x: range('x', 0), y: selectsY ? range('y', 1) : null };
       return render();
     });
-    // Show a part of the range of x around the cursor, or around the middle without a cursor.
+    // Divide the shown range of x by `factor`. The center is the cursor, or the middle without a cursor.
     chart.zoomBy = (factor) => {
       const { x, area } = plot;
       const [left, right] = [area.left, area.left + area.width];
       const center = chart.at === null ? (left + right) / 2 : x.forward(spec.xs[chart.at]);
       const ends = [left, right].map((end) => center + (end - center) / factor);
-      const whole = spec.x.full();
-      const [first, last] = whole.map(x.forward);
-      const range = [ends[0] > first ? x.back(ends[0]) : whole[0], ends[1] < last ? x.back(ends[1]) : whole[1]];
-      const isWhole = ends[0] < first + 1 && ends[1] > last - 1;  // up to a pixel
+      const fullRange = spec.x.full();
+      const [first, last] = fullRange.map(x.forward);
+      const range = [ends[0] > first ? x.back(ends[0]) : fullRange[0], ends[1] < last ? x.back(ends[1]) : fullRange[1]];
+      const isWhole = ends[0] < first + 1 && ends[1] > last - 1;  // with a tolerance of one pixel
       chart.zoom = isWhole ? null : { x: range, y: chart.zoom && chart.zoom.y };
       render();
     };
@@ -330,7 +337,7 @@ const Chart = (() => {
     setTimeout(() => URL.revokeObjectURL(link.href), 1000);
   }
 
-  // Buttons that change the range of a chart and save it.
+  // Return buttons that zoom and save a chart.
   function saving(chart) {
     const zooms = [['+', 2, 'zoom in'], ['−', 0.5, 'zoom out']].map(([text, factor, title]) => {
       const button = element('button', { type: 'button', title, 'aria-label': title, 'data-zoom': String(factor) }, text);
@@ -345,16 +352,17 @@ const Chart = (() => {
     return element('span', { class: 'save' }, 'zoom', ...zooms, 'save', ...buttons);
   }
 
-  // A row of buttons that are on or off; a sample shows how each is drawn while it is on.
+  // Return buttons that show or hide parts of a chart. A short line in each button shows how its part is
+  // drawn.
   function toggles(names, change) {
     return names.map(({ key, text, color = 'var(--ink-2)', dash = '' }) => {
       const button = element('button', { type: 'button', class: 'toggle', 'aria-pressed': 'true', 'data-key': key, title: 'show or hide', style: `--chip: ${color}` });
       button.innerHTML = `<svg viewBox="0 0 20 8" aria-hidden="true"><path d="M0 4h20" stroke-dasharray="${dash}"/></svg>`;
       button.append(text);
       button.addEventListener('click', () => {
-        const on = button.getAttribute('aria-pressed') !== 'true';
-        button.setAttribute('aria-pressed', String(on));
-        change(key, on);
+        const isOn = button.getAttribute('aria-pressed') !== 'true';
+        button.setAttribute('aria-pressed', String(isOn));
+        change(key, isOn);
       });
       return button;
     });

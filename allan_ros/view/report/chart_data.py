@@ -32,14 +32,14 @@ MEANS = 128
 """Largest number of points in a chart of the bias or the noise over time."""
 
 LEAST_TREND_POINTS = 4
-"""Smallest number of points of a chart over time."""
+"""Smallest number of points with which a chart over time or temperature is drawn."""
 
 
 def sensor_charts(results: Results, sensor: str, summary: SignalSummary | None) -> dict[str, Any]:
     """Return the data of all charts of one sensor ('gyro' or 'accel') as a JSON object.
 
-    Charts that need the sums are omitted if the results have none. Charts of the raw signal are
-    omitted without ``summary``.
+    Without Allan sums in ``results``, the chart of the noise density is omitted. Without the
+    ``summary`` of the raw signal, the charts of the signal and of values over time are omitted.
     """
     axes = {name: results.axes[name] for name in AXES[SENSORS[sensor]] if name in results.axes}
     tau = sorted({float(t) for a in axes.values() if a.curve is not None for t in a.curve.tau})
@@ -78,7 +78,7 @@ def to_script(data: object) -> str:
 
 
 def _units(sensor: str, units: str) -> dict[str, Any]:
-    """Return quantity -> [name of its unit, factor from SI to this unit]."""
+    """Return quantity -> [name of the unit in which it is shown, factor from SI to this unit]."""
     shown = {
         'curve': shown_unit(sensor, 'B', units),
         'signal': shown_unit(sensor, 'signal', units),
@@ -89,10 +89,10 @@ def _units(sensor: str, units: str) -> dict[str, Any]:
 
 
 def _axis(name: str, axis: AxisResult, tau: Sequence[float]) -> dict[str, Any]:
-    shown: dict[str, Any] = {'name': name, 'label': name[-1]}
+    axis_data: dict[str, Any] = {'name': name, 'label': name[-1]}
     curve = drawn_curve(axis)
     if curve is None or axis.curve is None:
-        return shown
+        return axis_data
     positions = np.searchsorted(tau, curve.tau)
 
     def column(values: ArrayLike) -> list[float | None]:
@@ -109,7 +109,7 @@ def _axis(name: str, axis: AxisResult, tau: Sequence[float]) -> dict[str, Any]:
         'most': curve.upper,
     }
     return {
-        **shown,
+        **axis_data,
         **{key: column(values) for key, values in columns.items()},
         'parts': {part: column(adev) for part, adev in curve.parts.items()},
         'upper': {term: column(adev) for term, adev in curve.limits.items()},
@@ -123,30 +123,30 @@ def _axis(name: str, axis: AxisResult, tau: Sequence[float]) -> dict[str, Any]:
 def _references(
     axes: Mapping[str, AxisResult], results: Results, tau: Sequence[float]
 ) -> Iterator[dict[str, Any]]:
-    stated = results.datasheet.values() if results.datasheet else {}
+    sheet_values = results.datasheet.values() if results.datasheet else {}
     for name, axis in axes.items():
-        if results.datasheet and stated.get(name) and tau:
-            avar = Model.of(**stated[name]).avar(tau, axis.tau0)
+        if results.datasheet and sheet_values.get(name) and tau:
+            avar = Model.of(**sheet_values[name]).avar(tau, axis.tau0)
             yield {'name': results.datasheet.name, 'axis': name, 'adev': rounded(np.sqrt(avar))}
     for run, former in results.baselines.items():
         for name in axes:
             curve = former.axes[name].curve if name in former.axes else None
             if curve is None or not np.any(curve.adev > 0.0):
                 continue
-            positive = curve.adev > 0.0
-            measured = np.log(curve.tau[positive]), np.log(curve.adev[positive])
+            has_value = curve.adev > 0.0
+            measured = np.log(curve.tau[has_value]), np.log(curve.adev[has_value])
             adev = np.exp(np.interp(np.log(tau), *measured, np.nan, np.nan))
             yield {'name': run, 'axis': name, 'adev': rounded(adev)}
 
 
 def _density(axes: Mapping[str, AxisResult], results: Results) -> dict[str, Any] | None:
     """Return measured and modeled noise density (SI/sqrt(Hz)) of all axes; None if unknown."""
-    known = () if results.recorded is None else results.recorded.sums
-    spectra = (noise_density(sums) for sums in known if set(axes) & set(sums.axes))
+    all_sums = () if results.recorded is None else results.recorded.sums
+    spectra = (noise_density(sums) for sums in all_sums if set(axes) & set(sums.axes))
     spectrum = next((found for found in spectra if found is not None), None)
     if spectrum is None:
         return None
-    shown = []
+    axis_charts = []
     for i, name in enumerate(spectrum.axes):
         if name in axes:
             columns = {
@@ -156,12 +156,12 @@ def _density(axes: Mapping[str, AxisResult], results: Results) -> dict[str, Any]
                 'fit': model_density(axes[name], spectrum),
             }
             roots = {k: rounded(np.sqrt(np.where(v > 0, v, np.nan))) for k, v in columns.items()}
-            shown.append({'name': name, **roots})
-    return {'x': rounded(spectrum.frequency), 'axes': shown, 'lines': _lines(axes)}
+            axis_charts.append({'name': name, **roots})
+    return {'x': rounded(spectrum.frequency), 'axes': axis_charts, 'lines': _lines(axes)}
 
 
 def _lines(axes: Mapping[str, AxisResult]) -> list[tuple[float, str]]:
-    groups: dict[str, list[tuple[float, str]]] = {}  # frequencies with equal shown digits
+    groups: dict[str, list[tuple[float, str]]] = {}  # frequencies that are equal after rounding
     for name, axis in axes.items():
         shapes = (part.process.numbers for part in axis.processes.parts)
         for frequency in (shape['frequency'] for shape in shapes if 'frequency' in shape):
@@ -173,20 +173,22 @@ def _lines(axes: Mapping[str, AxisResult]) -> list[tuple[float, str]]:
 
 
 def _signal(axes: Mapping[str, AxisResult], summary: SignalSummary) -> list[dict[str, Any]]:
-    shown = []
+    axis_charts = []
     for name in axes:
         i = AXES.index(name)
         middle, reach = rounded([summary.middle[i], summary.reach[i]])
         low, high = (rounded(v[:, i] - summary.middle[i], 3) for v in (summary.low, summary.high))
-        shown.append({'name': name, 'middle': middle, 'reach': reach, 'low': low, 'high': high})
-    return shown
+        axis_charts.append(
+            {'name': name, 'middle': middle, 'reach': reach, 'low': low, 'high': high}
+        )
+    return axis_charts
 
 
 def times(summary: SignalSummary | None) -> dict[str, Any] | None:
-    """Return the time axis of the raw signal with the times to be marked; None without a signal.
+    """Return the time axis of the raw signal, and the times to be marked; None without a signal.
 
-    Each of ``bands`` is (start in s, end in s, kind). The kind is 'gap', the reason in
-    `Excluded.why`, or 'other' without a reason.
+    Each of ``bands`` is (start in s, end in s, kind). The kind is 'gap' for a gap. For an excluded
+    time, it is the reason in `Excluded.why`, or 'other' if there is no reason.
     """
     if summary is None:
         return None
@@ -196,7 +198,7 @@ def times(summary: SignalSummary | None) -> dict[str, Any] | None:
 
 
 def temperature_chart(summary: SignalSummary | None) -> dict[str, Any] | None:
-    """Return the temperature over the time of the raw signal; None if none was recorded."""
+    """Return the temperature over time (s) in degC; None if no temperature was recorded."""
     if summary is None or summary.temperature is None:
         return None
     temperature = summary.temperature
@@ -205,7 +207,7 @@ def temperature_chart(summary: SignalSummary | None) -> dict[str, Any] | None:
 
 
 def motion_chart(results: Results) -> dict[str, Any] | None:
-    """Return the ratio of error to prediction for each drive; None if it was not measured.
+    """Return error / predicted error of each drive; None if the error in motion was not measured.
 
     Durations are in s and angles in deg.
     """
@@ -250,7 +252,8 @@ class Trend(NamedTuple):
 def trends(results: Results, sensor: str, summary: SignalSummary | None) -> list[dict[str, Any]]:
     """Return the charts of bias and noise over time, and of the bias against temperature.
 
-    They are computed from the ``summary`` of the raw signal; without it, there are none.
+    The charts are computed from the ``summary`` of the raw signal. Without a summary, the result is
+    empty.
     """
     names = [name for name in AXES[SENSORS[sensor]] if name in results.axes]
     if summary is None or not names:
@@ -262,45 +265,45 @@ def trends(results: Results, sensor: str, summary: SignalSummary | None) -> list
         return []
     bias = bias._replace(values=bias.values - np.nanmean(bias.values, axis=0))
     terms = [results.axes[name].fit.noise['N'] for name in names]
-    known = [n.value if n.status == 'estimated' and n.value else math.nan for n in terms]
-    white = rounded([1.96 * density / math.sqrt(bias.tau) for density in known])
-    charts = [{**_document('bias', bias, names), 'white': white}]
-    against = _against_temperature(bias, summary)
-    if against is not None:
+    densities = [n.value if n.status == 'estimated' and n.value else math.nan for n in terms]
+    white_limits = rounded([1.96 * density / math.sqrt(bias.tau) for density in densities])
+    charts = [{**_document('bias', bias, names), 'white': white_limits}]
+    over_temperature = _against_temperature(bias, summary)
+    if over_temperature is not None:
         charts.append(
             {
-                **_document('temperature', against, names),
-                **_fitted(against, results.temperature_models.get(sensor, {}), names),
+                **_document('temperature', over_temperature, names),
+                **_fitted(over_temperature, results.temperature_models.get(sensor, {}), names),
             }
         )
     return [*charts, _document('noise', noise._replace(values=np.sqrt(noise.values)), names)]
 
 
 def _over_time(summary: SignalSummary, values: Floats) -> Trend:
-    """Return the means of values, (bins, axes), over equal intervals; NaN separates recordings.
+    """Return the means of ``values``, (bins, axes), over equal intervals; NaN separates recordings.
 
     The mean is NaN unless more than half of the bins of the interval are used.
     """
     step = -(-len(summary.time_s) // MEANS)
-    steps = np.diff(summary.time_s)
-    bin_s = float(np.median(steps[steps > 0.0])) if (steps > 0.0).any() else math.nan
-    first = np.searchsorted(summary.time_s, summary.starts).tolist()
+    time_steps = np.diff(summary.time_s)
+    bin_s = float(np.median(time_steps[time_steps > 0.0])) if (time_steps > 0.0).any() else math.nan
+    first_bins = np.searchsorted(summary.time_s, summary.starts).tolist()
     x, rows = [], []
-    for begin, end in zip(first, [*first[1:], len(values)]):
+    for begin, end in zip(first_bins, [*first_bins[1:], len(values)]):
         for at in range(begin, end, step):
             part = slice(at, min(at + step, end))
-            used = values[part][summary.used[part]]
-            is_known = np.isfinite(used)
+            used_values = values[part][summary.used[part]]
+            is_known = np.isfinite(used_values)
             counts = np.where(2 * is_known.sum(axis=0) > step, is_known.sum(axis=0), np.nan)
             x.append(float(summary.time_s[part].mean()) + 0.5 * bin_s)
-            rows.append(np.where(is_known, used, 0.0).sum(axis=0) / counts)
+            rows.append(np.where(is_known, used_values, 0.0).sum(axis=0) / counts)
         x.append(x[-1])
         rows.append(np.full(values.shape[1], np.nan))
     return Trend(np.array(x[:-1]), np.array(rows[:-1]), step * bin_s)
 
 
 def _against_temperature(bias: Trend, summary: SignalSummary | None) -> Trend | None:
-    """Return the bias over the temperature; None if it is unknown or nearly constant."""
+    """Return the bias over temperature; None if the temperature is unknown or nearly constant."""
     if summary is None or summary.temperature is None:
         return None
     trace = summary.temperature
@@ -317,7 +320,7 @@ def _against_temperature(bias: Trend, summary: SignalSummary | None) -> Trend | 
 def _fitted(
     against: Trend, models: Mapping[str, TemperatureModel], names: Sequence[str]
 ) -> dict[str, Any]:
-    """Return the lines of the models, with the mean of the points, and their numbers as text."""
+    """Return the curves of the models, shifted to the mean of the points, and the models as text."""
     if set(models) != set(names):
         return {'fits': [], 'text': dict.fromkeys(UNIT_SYSTEMS, '')}
     curves = [models[name].bias(against.x) for name in names]

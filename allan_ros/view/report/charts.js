@@ -1,31 +1,31 @@
 // Copyright 2026 the allan_ros authors
 // SPDX-License-Identifier: Apache-2.0
 // The charts of one sensor: Allan deviation, noise density, bias and noise over time, raw signal.
-// The color shows the axis; dashes and a letter show the term. Each function draws into a host element
-// and returns the charts.
+// The color of a line shows the axis; its dashes and a letter show the term. Each function draws charts
+// of one kind into an HTML element, and returns the charts.
 'use strict';
 
 const Charts = (() => {
   const { create, element, number, saving, toggles } = Chart;
   const DASHES = { Q: '1 3', N: '8 3', B: '9 3 2 3', K: '14 4', R: '4 3 1 3 1 3' };
   const [PROCESS, LIMIT, REFERENCE] = ['5 2', '1 5', '6 2'];
-  const LINES = 9;  // largest number of sinusoids with a text
+  const LINES = 9;  // largest number of frequencies that are labeled
   const ink = (label) => `var(--${label})`;
   const letter = (name) => name.split('_').pop();
   const times = (values, factor) => values.map((v) => (v === null ? null : v * factor));
   const positive = (lists) => lists.flat().filter((v) => v > 0);
   const span = (low, high) => `${number(low, 3)}..${number(high, 3)}`;
 
-  // A row below a chart: buttons for its axes and other parts, a note, and buttons that save it.
-  function below(host, chart, axes, shown, others = [], changed = () => {}) {
+  // Append a row of buttons below a chart, which show or hide axes and other parts, zoom, and save.
+  function below(host, chart, axes, shownKeys, others = [], changed = () => {}) {
     const names = [...axes.map((a) => ({ key: letter(a.name), text: letter(a.name), color: ink(letter(a.name)) })), ...others];
-    const buttons = toggles(names, (key, on) => {
-      if (on) shown.add(key);
-      else shown.delete(key);
+    const buttons = toggles(names, (key, isOn) => {
+      if (isOn) shownKeys.add(key);
+      else shownKeys.delete(key);
       changed();
       chart.render();
     });
-    names.forEach(({ key }) => shown.add(key));
+    names.forEach(({ key }) => shownKeys.add(key));
     host.append(element('div', { class: 'controls' }, ...buttons, element('span', { class: 'grow' }), saving(chart)));
   }
 
@@ -33,77 +33,78 @@ const Charts = (() => {
     const axes = sensor.axes.filter((a) => positive([a.adev || []]).length);
     if (!axes.length) return [];
     const { tau } = sensor;
-    const shown = new Set();
-    let near = axes[0];
+    const shownKeys = new Set();
+    let nearAxis = axes[0];
     const unit = () => sensor.units[page.units()].curve;
-    const visible = () => axes.filter((a) => shown.has(a.label));
-    const unsure = (term) => (near.unresolved.includes(term) ? '?' : '');
-    // The flat part of the curve is at 0.664 B: the label says so, because the table contains B.
-    const caption = (term) => (term === 'B' ? '0.664 B' : term) + unsure(term);
+    const visible = () => axes.filter((a) => shownKeys.has(a.label));
+    const questionMark = (term) => (nearAxis.unresolved.includes(term) ? '?' : '');
+    // The flat part of the curve is at 0.664 B, and is labeled so, because the table contains B itself.
+    const caption = (term) => (term === 'B' ? '0.664 B' : term) + questionMark(term);
 
     function fullY() {
-      const some = visible().length ? visible() : axes;
+      const shownAxes = visible().length ? visible() : axes;
       const factor = unit()[1];
-      const values = positive(some.map((a) => times(a.adev, factor)));
-      // a point that is far below the model, because it is from two or three differences, does not set the scale
-      const low = Math.min(...positive(some.map((a) => a.adev.map((v, i) => (v > 0 ? factor * Math.max(v, 0.1 * a.fit[i]) : 0)))));
-      const marks = some.flatMap((a) => Object.values(a.read).map(([, v]) => v * factor)).filter((v) => v > 0.2 * low);
+      const values = positive(shownAxes.map((a) => times(a.adev, factor)));
+      // a point from two or three differences may be far below the model, but must not set the scale
+      const low = Math.min(...positive(shownAxes.map((a) => a.adev.map((v, i) => (v > 0 ? factor * Math.max(v, 0.1 * a.fit[i]) : 0)))));
+      const marks = shownAxes.flatMap((a) => Object.values(a.read).map(([, v]) => v * factor)).filter((v) => v > 0.2 * low);
       return [Math.min(0.45 * low, ...marks.map((v) => 0.75 * v)), 1.7 * Math.max(...values)];
     }
 
-    // The part of a line within the plot, in pixels.
+    // Return the points of a line that are within the plot, (x, y) in pixels.
     const within = (pen, values) => values
       .map((v, i) => [pen.x(tau[i]), v > 0 ? pen.y(v) : NaN])
       .filter(([x, y]) => pen.inside(x, y - 8) && pen.inside(x, y + 8));
 
-    // A cross where a coefficient is read as in IEEE Std 952 (N at 1 s, K at 3 s), if it is in the
-    // picture. The letter is next to it, or else where the line enters or leaves the picture.
+    // Label the line of a term. If the point at which the coefficient is read (IEEE Std 952: N at 1 s,
+    // K at 3 s) is within the plot, a cross marks this point, and the label is next to the cross.
+    // Otherwise, the label is where the line enters or leaves the plot.
     function named(pen, term, values, color) {
-      const [x, y] = term in near.read ? [pen.x(near.read[term][0]), pen.y(near.read[term][1] * unit()[1])] : [NaN, NaN];
+      const [x, y] = term in nearAxis.read ? [pen.x(nearAxis.read[term][0]), pen.y(nearAxis.read[term][1] * unit()[1])] : [NaN, NaN];
       if (pen.inside(x, y)) {
         pen.cross(x, y, color);
         pen.label(caption(term), [[x - 14, y + 12], [x + 14, y - 12], [x + 14, y + 12]], color);
         return;
       }
-      const run = within(pen, values);
-      const ends = run.length && run[0][1] > run[run.length - 1][1] + 2 ? [run[0], run[run.length - 1]] : [run[run.length - 1], run[0]];
-      if (run.length) pen.label(caption(term), ends.flatMap(([ex, ey]) => [[ex, ey - 11], [ex, ey + 11]]), color);
+      const points = within(pen, values);
+      const endPoints = points.length && points[0][1] > points[points.length - 1][1] + 2 ? [points[0], points[points.length - 1]] : [points[points.length - 1], points[0]];
+      if (points.length) pen.label(caption(term), endPoints.flatMap(([ex, ey]) => [[ex, ey - 11], [ex, ey + 11]]), color);
     }
 
     function draw(pen) {
       const factor = unit()[1];
-      const color = ink(near.label);
+      const color = ink(nearAxis.label);
       const line = (values, style) => pen.line(tau, times(values, factor), style);
       for (const a of visible()) {
         pen.area(tau, times(a.low, factor), times(a.high, factor), ink(`${a.label}-faint`));
-        if (shown.has('model')) line(a.fit, { color: ink(a.label), width: 1.6 });
+        if (shownKeys.has('model')) line(a.fit, { color: ink(a.label), width: 1.6 });
       }
-      const there = shown.has(near.label);
-      const parts = there && shown.has('model') ? Object.entries(near.parts) : [];
-      const limits = there && shown.has('limits') ? Object.entries(near.upper) : [];
-      const references = there && shown.has('references') ? sensor.references.filter((r) => r.axis === near.name) : [];
-      if (limits.length) pen.area(tau, times(near.fit, factor), times(near.most, factor), ink(`${near.label}-faint`));
+      const isShown = shownKeys.has(nearAxis.label);
+      const parts = isShown && shownKeys.has('model') ? Object.entries(nearAxis.parts) : [];
+      const limits = isShown && shownKeys.has('limits') ? Object.entries(nearAxis.upper) : [];
+      const references = isShown && shownKeys.has('references') ? sensor.references.filter((r) => r.axis === nearAxis.name) : [];
+      if (limits.length) pen.area(tau, times(nearAxis.fit, factor), times(nearAxis.most, factor), ink(`${nearAxis.label}-faint`));
       for (const [, values] of limits) line(values, { color, dash: LIMIT, width: 1 });
       // vibrations and resonances are marked in the chart of the noise density
-      const drawn = parts.filter(([term]) => !/^(sine|resonance)/.test(term));
-      for (const [term, values] of drawn) line(values, { color, dash: DASHES[term] || PROCESS, width: 1.2 });
+      const dashedParts = parts.filter(([term]) => !/^(sine|resonance)/.test(term));
+      for (const [term, values] of dashedParts) line(values, { color, dash: DASHES[term] || PROCESS, width: 1.2 });
       for (const other of references) line(other.adev, { color: 'var(--ink-2)', dash: REFERENCE });
       for (const a of visible()) pen.marks(tau, times(a.adev, factor), a.label, ink(a.label));
       for (const [term, values] of parts) if (term in DASHES) named(pen, term, times(values, factor), color);
       const nameAt = (words, values, down) => {
-        const run = within(pen, times(values, factor));
-        pen.label(words, run.slice(Math.floor(run.length / 3)).map(([x, y]) => [x, y + down]), 'var(--ink-2)');
+        const points = within(pen, times(values, factor));
+        pen.label(words, points.slice(Math.floor(points.length / 3)).map(([x, y]) => [x, y + down]), 'var(--ink-2)');
       };
       for (const [term, values] of limits) nameAt(`${term} limit`, values, 12);
       for (const other of references) nameAt(other.name, other.adev, -12);
     }
 
-    // The parts of the axis whose curve is nearest to the cursor are drawn.
+    // Select the axis whose curve is nearest to the cursor: the parts of its model are drawn.
     function focus(at, value) {
-      const off = (a) => (a.adev[at] > 0 && value > 0 ? Math.abs(Math.log(a.adev[at] * unit()[1] / value)) : Infinity);
-      const [found] = visible().sort((a, b) => off(a) - off(b));
-      if (!found || found === near || off(found) === Infinity) return false;
-      near = found;
+      const distance = (a) => (a.adev[at] > 0 && value > 0 ? Math.abs(Math.log(a.adev[at] * unit()[1] / value)) : Infinity);
+      const [found] = visible().sort((a, b) => distance(a) - distance(b));
+      if (!found || found === nearAxis || distance(found) === Infinity) return false;
+      nearAxis = found;
       note();
       return true;
     }
@@ -112,11 +113,11 @@ const Charts = (() => {
       const [name, factor] = unit();
       const measured = visible().filter((a) => a.adev[at] > 0).map((a) => [
         `${a.label}  ${number(a.adev[at] * factor)} ${name}  (${span(a.low[at] * factor, a.high[at] * factor)})`, ink(a.label)]);
-      const parts = Object.entries(near.parts).filter(([, values]) => values[at] > 0).map(([term, values]) => `${caption(term)} ${number(values[at] * factor, 3)}`);
+      const parts = Object.entries(nearAxis.parts).filter(([, values]) => values[at] > 0).map(([term, values]) => `${caption(term)} ${number(values[at] * factor, 3)}`);
       return [
         [`τ ${number(tau[at])} s`, ''], ...measured,
-        ...(parts.length ? [[`model of ${near.label}: ${parts.join(', ')}`, '']] : []),
-        ...(near.n[at] ? [[`${near.n[at].toLocaleString('en')} differences`, '']] : []),
+        ...(parts.length ? [[`model of ${nearAxis.label}: ${parts.join(', ')}`, '']] : []),
+        ...(nearAxis.n[at] ? [[`${nearAxis.n[at].toLocaleString('en')} differences`, '']] : []),
       ];
     }
 
@@ -129,13 +130,13 @@ const Charts = (() => {
     const others = [{ key: 'model', text: 'model', dash: '' }];
     if (axes.some((a) => Object.keys(a.upper).length)) others.push({ key: 'limits', text: 'limits', dash: LIMIT });
     if (sensor.references.length) others.push({ key: 'references', text: [...new Set(sensor.references.map((r) => r.name))].join(', '), dash: REFERENCE });
-    below(host, chart, axes, shown, others, () => { if (!shown.has(near.label) && visible().length) [near] = visible(); note(); });
+    below(host, chart, axes, shownKeys, others, () => { if (!shownKeys.has(nearAxis.label) && visible().length) [nearAxis] = visible(); note(); });
     const text = element('p', { class: 'note' });
     host.append(text);
     function note() {
-      text.textContent = `Points: measured, with 68\u00a0% limits. Line: model; dashed: its parts for ${near.label}, without vibrations (point at a curve for its parts). Crosses: where N is read (1 s) and K (3 s).`
-        + (Object.keys(near.upper).length ? ' Shaded: unresolved terms, up to their 95\u00a0% limits (dotted).' : '')
-        + (near.unresolved.length ? ' "?": not resolved.' : '');
+      text.textContent = `Points: measured, with 68\u00a0% intervals. Solid lines: models. Dashed lines: parts of the model of ${nearAxis.label}, without vibrations (point at a curve to see its parts). Crosses: values from which N (at 1 s) and K (at 3 s) are read.`
+        + (Object.keys(nearAxis.upper).length ? ' Shaded: the model with unresolved terms up to their 95\u00a0% limits (dotted lines).' : '')
+        + (nearAxis.unresolved.length ? ' A term with "?" is not resolved.' : '');
     }
     note();
     chart.render();
@@ -144,9 +145,9 @@ const Charts = (() => {
 
   function density(host, sensor, page) {
     const { x, axes, lines } = sensor.density;
-    const shown = new Set();
+    const shownKeys = new Set();
     const unit = () => sensor.units[page.units()].density;
-    const visible = () => axes.filter((a) => shown.has(letter(a.name)));
+    const visible = () => axes.filter((a) => shownKeys.has(letter(a.name)));
     const chart = create(host, {
       title: `${sensor.title}: noise density`, name: `density_${sensor.sensor}`, height: 300, zoomY: true, xs: x,
       x: { log: true, full: () => [x[0] / 1.2, x[x.length - 1] * 1.2], label: () => 'frequency [Hz]' },
@@ -171,13 +172,13 @@ const Charts = (() => {
         }),
       ],
     });
-    below(host, chart, axes, shown);
-    host.append(element('p', { class: 'note' }, `Dashed: the model, within the pass band; its flat part is √2 N, the noise density of datasheets.${lines.length ? ' Vertical lines: vibrations and resonances, with their axes.' : ''}`));
+    below(host, chart, axes, shownKeys);
+    host.append(element('p', { class: 'note' }, `Dashed lines: the model within the pass band. Its flat part is √2 N, the noise density of datasheets.${lines.length ? ' Vertical lines: vibrations and resonances, with their axes.' : ''}`));
     chart.render();
     return [chart];
   }
 
-  // Kind of a marked time: color, drawing, text at the cursor, and explanation below the chart.
+  // Kind of a marked time -> color, hatching or line, text at the cursor, and text below the chart.
   const KINDS = {
     motion: ['moved', 'up', 'excluded: the IMU moved', 'Hatched to the upper right: the IMU moved.'],
     stuck: ['bad', 'down', 'excluded: an axis repeated one value', 'Hatched red: an axis repeated one value.'],
@@ -187,7 +188,7 @@ const Charts = (() => {
     noise_increased: ['moved', 'down', 'excluded: noise increased', 'Hatched to the lower right: noise increased.'],
   };
 
-  // Time in the unit of the charts: seconds, minutes or hours.
+  // Return the unit of time in the charts (s, min or h): its length in s, and its name.
   function clock(page) {
     const { time } = page.times;
     const length = time[time.length - 1];
@@ -209,13 +210,13 @@ const Charts = (() => {
   const during = (page, seconds, bin) => page.times.bands.filter(([from, to]) => from < seconds + bin && to >= seconds - bin)
     .map(([, , kind]) => [KINDS[kind][2], '']).slice(0, 2);
 
-  // The text that explains the marks.
+  // Return the text that explains the marked times.
   function explained(page) {
     const kinds = new Set(page.times.bands.map(([, , kind]) => kind));
     return [...Object.keys(KINDS).filter((kind) => kinds.has(kind)).map((kind) => KINDS[kind][3]), ...(page.times.starts.length ? ['Vertical lines: start of the next recording.'] : [])].join(' ');
   }
 
-  // The bias or the noise of all axes over time, or the bias over temperature as single points.
+  // Draw the bias and the noise of all axes over time, and the bias over temperature as single points.
   function trends(host, sensor, page) {
     return sensor.trends.map((data) => {
       const [title, what] = { bias: ['bias over time', 'bias minus its mean'], temperature: ['bias against temperature', 'bias minus its mean'], noise: ['noise over time', 'noise of single samples'] }[data.kind];
@@ -223,17 +224,17 @@ const Charts = (() => {
       const [scale, name] = points ? [1, '°C'] : clock(page);
       const x = data.x.map((v) => v / scale);
       const [first, last] = points ? [Math.min(...x), Math.max(...x)] : [0, page.times.time[page.times.time.length - 1] / scale];
-      const shown = new Set();
+      const shownKeys = new Set();
       const unit = () => sensor.units[page.units()].curve;
-      const visible = () => data.lines.filter((line) => shown.has(letter(line.name)));
+      const visible = () => data.lines.filter((line) => shownKeys.has(letter(line.name)));
       const chart = create(host, {
         title: `${sensor.title}: ${title}`, name: `${data.kind}_${sensor.sensor}`, height: 220, xs: x,
         x: { full: () => [first, last], label: () => (points ? 'temperature [°C]' : `time [${name}]`) },
         y: {
           label: () => `${what} [${unit()[0]}]`,
           full() {
-            const known = data.lines.flatMap((line) => times(line.values, unit()[1])).filter((v) => v !== null);
-            const [low, high] = [Math.min(...known), Math.max(...known)];
+            const values = data.lines.flatMap((line) => times(line.values, unit()[1])).filter((v) => v !== null);
+            const [low, high] = [Math.min(...values), Math.max(...values)];
             const room = 0.08 * (high - low) || 1e-9;
             return [data.kind === 'noise' ? 0 : low - room, high + room];
           },
@@ -255,17 +256,17 @@ const Charts = (() => {
           ...(points ? [] : during(page, data.x[at], data.span / 2)),
         ],
       });
-      below(host, chart, data.lines, shown);
+      below(host, chart, data.lines, shownKeys);
       const text = element('p', { class: 'note' });
       host.append(text);
       const listed = (values) => {
-        const known = data.lines.map((line, i) => [letter(line.name), values[i]]).filter(([, v]) => v !== null);
-        return `${known.map(([axis, v]) => `${axis} ${number(v * unit()[1], 3)}`).join(', ')} ${unit()[0]}`;
+        const axisValues = data.lines.map((line, i) => [letter(line.name), values[i]]).filter(([, v]) => v !== null);
+        return `${axisValues.map(([axis, v]) => `${axis} ${number(v * unit()[1], 3)}`).join(', ')} ${unit()[0]}`;
       };
       chart.note = () => {
         const parts = [data.kind === 'noise' ? `Averages over ${number(data.span, 3)} s of the differences of successive samples; constant if the noise does not change.` : `Averages over ${number(data.span, 3)} s at rest.`];
         if (points) parts.push(data.fits.length ? `Lines: fitted b(T), with 95 % intervals: ${data.text[page.units()]}` : '');
-        if (data.white && data.white.some((v) => v !== null)) parts.push(`With white noise alone, 95 % would lie within these distances of 0: ${listed(data.white)}.`);
+        if (data.white && data.white.some((v) => v !== null)) parts.push(`With white noise alone, 95 % of the averages would lie within these distances from 0: ${listed(data.white)}.`);
         text.textContent = [...parts, points ? '' : explained(page)].join(' ');
       };
       chart.note();
@@ -279,13 +280,13 @@ const Charts = (() => {
     const seconds = page.times.time;
     const x = seconds.map((t) => t / scale);
     const bin = x.length > 1 ? seconds[1] - seconds[0] : 0;
-    const made = sensor.signal.map((a) => {
+    const signalCharts = sensor.signal.map((a) => {
       const label = letter(a.name);
       const unit = () => sensor.units[page.units()].signal;
       return create(host, {
         title: `${sensor.title}: raw signal ${label}`, name: `signal_${a.name}`, height: 150, xs: x,
         x: { full: () => [0, x[x.length - 1]], label: () => `time [${name}]` },
-        // The used samples fill the picture; an excluded shock may exceed it.
+        // The range is chosen for the used samples; an excluded shock may extend beyond the range.
         y: { full: () => [-1.15 * a.reach * unit()[1], 1.15 * a.reach * unit()[1]], label: () => `${label} [${unit()[0]}], 0 = median ${number(a.middle * unit()[1])}` },
         draw(pen) {
           pen.area(x, times(a.low, unit()[1]), times(a.high, unit()[1]), ink(label));
@@ -303,20 +304,20 @@ const Charts = (() => {
       });
     });
     host.append(element('p', { class: 'note' }, `Lowest and highest sample of each short interval. ${explained(page)}`));
-    return made;
+    return signalCharts;
   }
 
-  // The temperature reading nearest to a time.
+  // Return the temperature reading nearest to the time `at` in s.
   function reading({ time, celsius }, at) {
-    const far = time.map((t, i) => (celsius[i] === null ? Infinity : Math.abs(t - at)));
-    return celsius[far.indexOf(Math.min(...far))];
+    const distances = time.map((t, i) => (celsius[i] === null ? Infinity : Math.abs(t - at)));
+    return celsius[distances.indexOf(Math.min(...distances))];
   }
 
   function temperature(host, page) {
     const { source, time, celsius } = page.temperature;
     const [scale, name] = clock(page);
-    const known = celsius.filter((v) => v !== null);
-    const [low, high] = [Math.min(...known), Math.max(...known)];
+    const readings = celsius.filter((v) => v !== null);
+    const [low, high] = [Math.min(...readings), Math.max(...readings)];
     const room = Math.max(0.08 * (high - low), 0.2);
     const x = time.map((t) => t / scale);
     const chart = create(host, {
@@ -326,26 +327,26 @@ const Charts = (() => {
       draw(pen) { pen.line(x, celsius, { color: 'var(--ink)', width: 1.3 }); events(pen, page); },
       describe: (at) => [[`${number(x[at])} ${name}`, ''], [`${number(celsius[at])} °C`, '']],
     });
-    host.append(element('p', { class: 'note' }, `${number(low, 3)} to ${number(high, 3)} °C, from ${source}. The coefficients are computed without it.`));
+    host.append(element('p', { class: 'note' }, `${number(low, 3)} to ${number(high, 3)} °C, from ${source}. The coefficients are computed without the temperature.`));
     return [chart];
   }
 
-  // Error of each drive over its prediction, against the duration of the drive and the angle turned.
+  // Draw the error of each drive divided by its prediction, against the duration and the angle turned.
   function motion(host, page) {
     const { drives } = page.motion;
     const kinds = [['rotation', 'angle', 'x'], ['velocity', 'velocity', 'y']];
-    const most = Math.max(1, ...kinds.flatMap(([key]) => drives[key]));
-    const made = [['duration', 'duration of the drive [s]', 's'], ['turned', 'angle turned [°]', '°']].map(([key, label, unit]) => {
+    const largestRatio = Math.max(1, ...kinds.flatMap(([key]) => drives[key]));
+    const motionCharts = [['duration', 'duration of the drive [s]', 's'], ['turned', 'angle turned [°]', '°']].map(([key, label, unit]) => {
       const x = drives[key];
       const last = Math.max(...x);
-      const shown = new Set();
+      const shownKeys = new Set();
       const cell = element('div');
       host.append(cell);
-      const visible = () => kinds.filter(([kind]) => shown.has(kind));
+      const visible = () => kinds.filter(([kind]) => shownKeys.has(kind));
       const chart = create(cell, {
         title: `Error in motion: ${label}`, name: `motion_${key}`, height: 220, xs: x,
         x: { full: () => [0, 1.05 * last || 1], label: () => label },
-        y: { full: () => [0, 1.1 * most], label: () => 'error / its prediction from rest' },
+        y: { full: () => [0, 1.1 * largestRatio], label: () => 'error / predicted error' },
         draw(pen) {
           pen.line([0, 1.05 * last || 1], [1, 1], { color: 'var(--ink-2)', dash: REFERENCE });
           for (const [kind, , color] of visible()) pen.marks(x, drives[kind], color, ink(color), 2.6, ink(color));
@@ -355,11 +356,11 @@ const Charts = (() => {
           ...visible().map(([kind, text, color]) => [`${text} error  ${number(drives[kind][at], 3)} times its prediction`, ink(color)]),
         ],
       });
-      below(cell, chart, [], shown, kinds.map(([kind, text, color]) => ({ key: kind, text: `${text} error`, color: ink(color) })));
+      below(cell, chart, [], shownKeys, kinds.map(([kind, text, color]) => ({ key: kind, text: `${text} error`, color: ink(color) })));
       chart.render();
       return chart;
     });
-    return made;
+    return motionCharts;
   }
 
   return { allan, density, trends, signal, temperature, motion };

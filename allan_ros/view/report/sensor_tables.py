@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The tables of the report with their notes, as HTML."""
+"""Writes the tables of the report, and the notes below the tables, as HTML."""
 
 from __future__ import annotations
 
@@ -37,9 +37,9 @@ def headline_html(axes: Axes) -> str:
 
 
 def model_html(axes: Axes) -> Iterator[str]:
-    """Yield an HTML table of the other terms and of what the model contains.
+    """Yield an HTML table of the parts of the model, and of the terms that `headline_html` omits.
 
-    If no term has a value or a limit, only a note states this.
+    If no term has a value or a limit, only a note is yielded, which states this.
     """
     noise = [c for axis in axes.values() for c in axis.fit.noise.values()]
     if all(c.value is None and c.upper95 is None for c in noise):
@@ -53,7 +53,7 @@ def model_html(axes: Axes) -> Iterator[str]:
 
 
 def filter_html(results: Results) -> str:
-    """Return an HTML table of the numbers in imu.yaml: key, value, and their origin.
+    """Return an HTML table of imu.yaml, with the key, the value and the origin of each number.
 
     If a key needs an axis that was not measured, a note states this instead.
     """
@@ -62,7 +62,7 @@ def filter_html(results: Results) -> str:
     except AllanError as error:
         return note_html(f'imu.yaml is not written: {explained(error)}.')
     return html_table('filter', lambda _: table) + note_html(
-        'In SI, the worst axis of each sensor, for integration up to '
+        'The numbers are in SI, for the worst axis of each sensor, and for integration up to '
         f'{target_of("kalibr").horizon_s:g} s without a correction.'
     )
 
@@ -70,13 +70,13 @@ def filter_html(results: Results) -> str:
 def growth_html(axes: Axes) -> Iterator[str]:
     """Yield an HTML table of the predicted angle or velocity error without correction.
 
-    If it is known, the scatter of the bias between recordings follows.
+    The scatter of the bias between recordings follows, if it is known.
     """
     if all(axis.growth for axis in axes.values()):
         yield _scrolled('comparison', partial(growth_table, axes))
         window = next(iter(axes.values())).growth[0].window
         yield note_html(
-            'One standard deviation without correction, with the 95 % interval, after the bias was '
+            'One standard deviation of the error, with its 95 % interval, after the bias was '
             f'averaged over {window:g} s.'
         )
     for name, axis in axes.items():
@@ -88,29 +88,33 @@ def growth_html(axes: Axes) -> Iterator[str]:
 
 
 def _scatter(name: str, axis: AxisResult, units: str) -> str:
-    known = axis.turn_on
-    if known is None or not known.scatter.value:
+    turn_on = axis.turn_on
+    if turn_on is None or not turn_on.scatter.value:
         return 'not resolved'
     unit = shown_unit(name, 'B', units)
-    cell = size_cell(known.scatter, unit.factor)
-    ends = f' ({cell.detail})' if cell.detail else ''
-    return escape(f'{cell.text} {pretty_unit(unit.name)}{ends}')
+    cell = size_cell(turn_on.scatter, unit.factor)
+    interval = f' ({cell.detail})' if cell.detail else ''
+    return escape(f'{cell.text} {pretty_unit(unit.name)}{interval}')
 
 
 def datasheet_html(axes: Axes, sheet: Datasheet, comparisons: Sequence[Check]) -> Iterator[str]:
-    """Yield an HTML table of the limits in a datasheet; nothing without limits for this sensor."""
-    stated: dict[str, list[str]] = {}
+    """Yield an HTML table of the datasheet limits of a sensor; nothing if there are no limits."""
+    stated_texts: dict[str, list[str]] = {}
     notes = []
     for term in TERMS:
-        known = (sheet.limits[c.axis] for c in comparisons if c.axis in axes and c.quantity == term)
-        limits = [terms[term] for terms in known]
+        axis_limits = (
+            sheet.limits[c.axis] for c in comparisons if c.axis in axes and c.quantity == term
+        )
+        limits = [terms[term] for terms in axis_limits]
         if limits:
-            stated[term] = [limit.stated for limit in limits]
-        texts = dict.fromkeys(n for limit in limits for n in (limit.note, limit.condition) if n)
-        notes += [f'{term}: {note}' for note in texts]
+            stated_texts[term] = [limit.stated for limit in limits]
+        distinct_notes = dict.fromkeys(
+            n for limit in limits for n in (limit.note, limit.condition) if n
+        )
+        notes += [f'{term}: {note}' for note in distinct_notes]
     notes.append('; '.join(str(source) for source in sheet.sources.values()))
-    if stated:
-        noise, limits_of = _noise(axes), stated_limits(stated)
+    if stated_texts:
+        noise, limits_of = _noise(axes), stated_limits(stated_texts)
         yield _scrolled(
             'comparison',
             lambda units: limit_table(noise, comparisons, units, limits_of),
@@ -119,7 +123,7 @@ def datasheet_html(axes: Axes, sheet: Datasheet, comparisons: Sequence[Check]) -
 
 
 def baseline_html(axes: Axes, before: Results, comparisons: Sequence[Check]) -> Iterator[str]:
-    """Yield an HTML table of the comparison with an earlier run; nothing without comparisons."""
+    """Yield an HTML table that compares a sensor with an earlier run; nothing without checks."""
     if any(c.axis in axes and c.quantity in TERMS for c in comparisons):
         yield _scrolled(
             'comparison', lambda units: baseline_table(_noise(axes), comparisons, units, before)
@@ -131,7 +135,7 @@ def baseline_html(axes: Axes, before: Results, comparisons: Sequence[Check]) -> 
 
 
 def facts_html(facts: Mapping[str, str]) -> str:
-    """Return an HTML table of names and texts."""
+    """Return an HTML table with a row for each fact: its name and its text."""
     rows = [(Heading(name), [Cell(text)]) for name, text in facts.items()]
     return html_table('facts', lambda _: Table(Heading(''), [Heading('')], rows))
 

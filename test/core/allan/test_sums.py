@@ -174,7 +174,7 @@ def spoilers():
         'step': (lambda d: one(d)['means'][0].update(step=3), 'power of two'),
         'means': (lambda d: one(d)['means'][0].update(samples=4), 'expected'),
         'long means': (lambda d: one(d)['means'][0].update(samples=10**9), 'too many'),
-        'grid': (lambda d: d['m'].__setitem__(0, 2), 'grid'),
+        'grid': (lambda d: d['m'].__setitem__(0, 2), 'averaging factors'),
         'list': (lambda d: d.update(recordings=[[]]), 'object is expected'),
         'name': (lambda d: d.update(frame_id='x' * 5000), 'frame_id'),
         'lengths': (lambda d: d.update(lengths=[[5000, 0]]), 'lengths'),

@@ -16,32 +16,36 @@ FLICKER_FLOOR = 2.0 * math.log(2.0) / math.pi
 """Ratio of the Allan variance of bias instability to B^2: (0.664)^2 (IEEE Std 952-1997, C.1.3)."""
 
 SERIES_FROM = 30
-"""Lag, as a number of means, above which the autocovariance is computed by a series: the second
-difference of large numbers loses digits."""
+"""Lag, as a number of means, above which the autocovariance is computed by a series. The second
+difference of large numbers would lose digits there."""
 
 
 @dataclass(frozen=True)
 class Flicker(Process):
     """Flicker noise with B = 1.
 
-    gamma is the second difference of -t^2 ln|t| / (2 pi), divided by M^2, where t is in samples. At
-    long lags, a series of this difference is used. The term ln(M) makes the omitted constant equal
-    for all M.
+    gamma is the second difference of -t^2 ln|t| / (2 pi) with a step of M samples, divided by M^2.
+    At long lags, a series of this difference is used. The term ln(M) makes the constant that is
+    omitted from gamma equal for all M.
     """
 
     name = 'flicker'
     letter = 'B'
     label = 'B'
     meaning = 'Flicker noise (bias instability).'
-    no_states = 'its memory has no longest time: a sum of Gauss-Markov processes approximates it'
+    no_states = (
+        'it has no longest correlation time: a sum of Gauss-Markov processes approximates it'
+    )
 
     def gamma(self, M: ArrayLike, j: ArrayLike) -> Floats:
         M, j = np.asarray(M, float), np.asarray(j, float)
-        far = np.maximum(j, 1.0)
-        u = far**-2
-        series = -(2.0 * np.log(far) + 3.0 - u * (1.0 / 6.0 + u * (1.0 / 30.0 + u / 84.0)))
-        near = 2.0 * _square_log(j) - _square_log(j + 1.0) - _square_log(np.abs(j - 1.0))
-        value = np.where(j > SERIES_FROM, series, near) / (2.0 * math.pi)
+        long_lag = np.maximum(j, 1.0)
+        u = long_lag**-2
+        series = -(2.0 * np.log(long_lag) + 3.0 - u * (1.0 / 6.0 + u * (1.0 / 30.0 + u / 84.0)))
+        second_difference = (
+            2.0 * _square_log(j) - _square_log(j + 1.0) - _square_log(np.abs(j - 1.0))
+        )
+        value = np.where(j > SERIES_FROM, series, second_difference) / (2.0 * math.pi)
         return np.asarray(value - np.log(M) / math.pi)
 
 

@@ -16,16 +16,17 @@ from ..process import CORRELATION_TIME, Floats, Process, Search, States
 FAST = 8.0
 """Correlation time in samples below which the spectrum looks like low-pass filtered white noise. A
 model with such a process must exceed a model of a filter with as many coefficients (terms in f^2
-and f^4) by `GAIN_RESOLVED` in 2 log L. Measured: real filters that remove up to 15 % of the power
-reach a difference of at most 1.9. A process of 2 samples, with a third of the standard deviation of
-the white noise, reaches at least 6.9 in 10 min at 100 Hz."""
+and f^4) by `GAIN_RESOLVED` in 2 log L. Measured: for real filters that remove up to 15 % of the
+power, the difference is at most 1.9. For a process with a correlation time of 2 samples and a third
+of the standard deviation of the white noise, it is at least 6.9 in 10 min at 100 Hz."""
 
 
 @dataclass(frozen=True)
 class GaussMarkov(Process):
     """First-order Gauss-Markov process of unit variance.
 
-    The variance 1 is subtracted from gamma, so that no digits are lost at long correlation times.
+    gamma is the autocovariance minus the variance 1, so that no digits are lost at long correlation
+    times.
     """
 
     name = 'gauss_markov'
@@ -42,15 +43,16 @@ class GaussMarkov(Process):
         # lag j >= 1: exp(-((j - 1) M + 1)/T) times the square of the mean of exp(-i/T), i < M
         mean = np.expm1(-x) / math.expm1(-1.0 / time) / M
         decay = np.expm1(-((np.maximum(j, 1.0) - 1.0) * x + 1.0 / time))
-        later = mean**2 * decay + (mean - 1.0) * (mean + 1.0)
+        at_lag = mean**2 * decay + (mean - 1.0) * (mean + 1.0)
         # lag 0: the mean of exp(-|a - b|/T) - 1 over all pairs of samples
         half = 0.5 / time
-        pairs = (
+        pair_mean = (
             M / math.tanh(half) + np.expm1(-x) / (2.0 * math.sinh(min(half, 300.0)) ** 2)
         ) / M**2
-        lag = (M - 1.0 / M) / (3.0 * time)  # mean of |a - b|/T, then of its square and cube
+        # series of the mean of exp(-u) - 1, u = |a - b|/T: means of -u, u^2/2 and -u^3/6
+        lag = (M - 1.0 / M) / (3.0 * time)
         series = -lag + (M**2 - 1.0) / (12.0 * time**2) - x**3 / 60.0 * (1.0 - 1.0 / M**2)
-        return np.asarray(np.where(j >= 1, later, np.where(x < 1e-3, series, pairs - 1.0)))
+        return np.asarray(np.where(j >= 1, at_lag, np.where(x < 1e-3, series, pair_mean - 1.0)))
 
     @property
     def slowest_time(self) -> float:

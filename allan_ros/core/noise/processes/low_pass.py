@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a low-pass filter of the sensor removes from white noise."""
+"""Effect of a low-pass filter of the sensor on white noise."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from .quantization import Quantization
 class LowPass(Quantization):
     """Effect of a low-pass filter on averages that are long compared with its impulse response.
 
-    A filter changes the spectrum of white noise by a series in f^2. The first term of the series
-    has the spectrum of quantization noise, with a coefficient that is mostly negative.
+    A filter multiplies the spectrum of white noise by a series in f^2. The term in f^2 has the
+    spectrum of quantization noise, with a coefficient that is mostly negative.
     """
 
     name = 'low_pass'
     letter = ''
     label = 'filter'
-    meaning = 'What a low-pass filter of the sensor removes from white noise.'
+    meaning = 'Effect of a low-pass filter of the sensor on white noise.'
     coefficient = 'q'
     time_power = 2.0
     is_regressor = True

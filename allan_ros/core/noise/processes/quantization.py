@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Quantization noise of a counter that carries its remainder, coefficient Q."""
+"""Quantization noise, coefficient Q: rounding errors of a counter that carries its remainder."""
 
 from __future__ import annotations
 

@@ -14,11 +14,11 @@ from ..process import Floats, Process, States
 
 @dataclass(frozen=True)
 class Ramp(Process):
-    """Ramp of one unit per sample: a regressor whose coefficient may be negative.
+    """Ramp with the slope of one unit per sample; its coefficient may be negative.
 
-    A sum of means at the times t_i with weights w_i, whose sum is 0, has the square
-    (sum w_i t_i)^2 = - sum w_i w_j (t_i - t_j)^2 / 2. A ramp therefore has a gamma like a random
-    process.
+    A weighted sum of means at the times t_i, with weights w_i whose sum is 0, has the square
+    (sum w_i t_i)^2 = - sum w_i w_j (t_i - t_j)^2 / 2. This square has the form of the variance of
+    such a sum for a random process. A ramp therefore has a gamma, too.
     """
 
     name = 'ramp'

@@ -17,7 +17,7 @@ from .sinusoid import Sinusoid
 
 BANDWIDTHS = (1.0, 3.0)
 """Correlation times of the candidates, in units of 1.5 periods. A fitted correlation time is at
-least one period: a shorter one imitates a low-pass filter."""
+least one period, because a resonance with a shorter correlation time imitates a low-pass filter."""
 
 
 @dataclass(frozen=True)
@@ -43,11 +43,11 @@ class Resonance(Process):
         z = cmath.exp(complex(-1.0 / time, 2.0 * math.pi * frequency))
         M, j = np.asarray(M, float), np.asarray(j, float)
         sums = (1.0 - np.exp(M * cmath.log(z))) / (1.0 - z)
-        zero = (M * (1.0 + z) / (1.0 - z) - 2.0 * z * sums / (1.0 - z)).real
+        at_zero_lag = (M * (1.0 + z) / (1.0 - z) - 2.0 * z * sums / (1.0 - z)).real
         k = (np.maximum(j, 1.0) - 1.0) * M + 1.0
         wave = np.cos(2.0 * math.pi * frequency * k + 2.0 * np.angle(sums))
-        later = np.abs(sums) ** 2 * np.exp(-k / time) * wave
-        return np.asarray(np.where(j >= 1, later, zero) / M**2)
+        at_lag = np.abs(sums) ** 2 * np.exp(-k / time) * wave
+        return np.asarray(np.where(j >= 1, at_lag, at_zero_lag) / M**2)
 
     @property
     def is_drift(self) -> bool:
@@ -61,7 +61,7 @@ class Resonance(Process):
 
     @property
     def slowest_time(self) -> float:
-        return 0.0  # a resonance is fast compared with any drift
+        return 0.0  # fast compared with any drift
 
     def is_broad_near(self, highest: float) -> bool:
         periods = self.frequency * self.correlation_time
@@ -89,5 +89,5 @@ class Resonance(Process):
         return low, max(search.narrowest(self.frequency), low)
 
     def limit(self, search: Search) -> Process:
-        narrow = self.correlation_time >= 0.99 * search.narrowest(self.frequency)
-        return Sinusoid(self.frequency) if narrow else self
+        is_narrow = self.correlation_time >= 0.99 * search.narrowest(self.frequency)
+        return Sinusoid(self.frequency) if is_narrow else self

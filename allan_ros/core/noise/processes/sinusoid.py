@@ -32,7 +32,7 @@ class Sinusoid(Process):
     finding = 'vibration'
     is_line = True
     low_band = 'rank two'
-    no_states = 'it is no noise: a filter that models it needs its phase'
+    no_states = 'it is not noise: a state estimator that models it needs its phase'
 
     frequency: float
 
@@ -61,18 +61,21 @@ class Sinusoid(Process):
 
     @classmethod
     def grid(cls, search: Search) -> Iterator[Process]:
-        """Yield sinusoids half a bin apart; below the lowest bin, half a period per segment."""
+        """Yield sinusoids whose frequencies are half a bin apart.
+
+        Below the lowest bin, the distance is half a period in the longest segment.
+        """
         f, highest = search.f, min(search.crossover, 0.5 / search.step)
-        low = np.arange(LEAST_PERIODS, search.longest * highest, 0.5) / search.longest
+        low_frequencies = np.arange(LEAST_PERIODS, search.longest * highest, 0.5) / search.longest
         width = np.diff(f, append=f[-1:] if len(f) else [])
-        same = np.append(np.diff(search.block) == 0.0, False) if len(f) else width > 0.0
-        between = (f + width / 2.0)[same]
-        every = np.unique(np.concatenate([low, f, between]))
-        return (cls(float(each)) for each in every if 0.0 < each < 0.49)
+        is_in_octave = np.append(np.diff(search.block) == 0.0, False) if len(f) else width > 0.0
+        midpoints = (f + width / 2.0)[is_in_octave]  # between two bins of an octave
+        frequencies = np.unique(np.concatenate([low_frequencies, f, midpoints]))
+        return (cls(float(each)) for each in frequencies if 0.0 < each < 0.49)
 
 
 def daily_cycle(samples: int, tau0: float) -> Sinusoid | None:
-    """Return a sinusoid with a period of one day, or None for a segment of 18 h or less.
+    """Return a sinusoid with a period of one day, or None if a segment lasts 18 h or less.
 
     ``samples`` is the number of samples of the segment, and ``tau0`` is the sample period in s. A
     daily cycle is expected because the temperature of most rooms has one.

@@ -14,7 +14,7 @@ from ..process import Floats, Process
 
 @dataclass(frozen=True)
 class White(Process):
-    """White noise with variance 1 of a sample."""
+    """White noise whose samples have the variance 1."""
 
     name = 'white'
     letter = 'N'
