@@ -320,7 +320,7 @@ def _against_temperature(bias: Trend, summary: SignalSummary | None) -> Trend | 
 def _fitted(
     against: Trend, models: Mapping[str, TemperatureModel], names: Sequence[str]
 ) -> dict[str, Any]:
-    """Return the curves of the models, shifted to the mean of the points, and the models as text."""
+    """Return the models as curves, shifted to the mean of the points, and as text."""
     if set(models) != set(names):
         return {'fits': [], 'text': dict.fromkeys(UNIT_SYSTEMS, '')}
     curves = [models[name].bias(against.x) for name in names]
