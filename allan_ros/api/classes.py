@@ -41,7 +41,7 @@ R = TypeVar('R', bound=PlainResults)
 
 
 def public(function: Callable[P, T]) -> Callable[P, T]:
-    """Decorate a public function so that it raises AllanErrors with complete texts.
+    """Decorate a public function so that it raises AllanErrors with cause and remedy.
 
     Errors of the operating system become AllanErrors, too.
     """

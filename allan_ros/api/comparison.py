@@ -159,10 +159,10 @@ def common(*sources: Any, rate: float = 0.0, **options: Any) -> CommonResult:
     Returns
     -------
     CommonResult
-        ``rows`` contains for each axis of each IMU: N as measured, the own N with its interval, and
-        the coherence with the mean of the other IMUs at each averaging time. With three or more
-        IMUs, the own N of each IMU is measured. With two IMUs, only the root mean square of their
-        two own N is measured, and both have this value.
+        ``rows`` contains for each axis of each IMU: N as measured, *own N* (N without the noise
+        that is common to the IMUs) with its interval, and the coherence with the mean of the other
+        IMUs at each averaging time. With three or more IMUs, own N is measured for each IMU. With
+        two IMUs, only the root mean square of the two values is measured, and is given for both.
 
     Raises
     ------

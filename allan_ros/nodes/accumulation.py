@@ -99,7 +99,7 @@ class ImuWatch(NodePart):
         has_new_subscriber = self.output.has_new_subscriber()
         if self._sums_due.due(now) and self._sensor != 'accel':
             self._update()
-            last = self._accel or self  # this input publishes when its accelerometer does
+            last = self._accel or self  # with a separate accelerometer input, it publishes both
             last._update()
             last._publish(last._total())
         elif has_new_subscriber:  # a new subscriber does not wait for the period

@@ -327,7 +327,7 @@ def load_sensor(name: str) -> Datasheet:
     fields.schema(SCHEMA)
     fields.only('schema', 'name', 'maker', 'remark', 'sources', 'carries')
     with located(f'{fields.where}.carries'):
-        # a file with the key carries is rejected: a product cannot contain a product, nor itself
+        # the file that the key `carries` names must not have this key: products are not nested
         sensor = _datasheet(_file(fields.text('carries')))
     return replace(
         sensor,

@@ -44,8 +44,8 @@ RC: dict[str, Any] = {
 """Settings of all figures. Fonts are embedded in a PDF as TrueType (42), as journals require."""
 
 WIDTH_IN, ROW_IN, HEAD_IN = 7.16, 1.9, 0.7
-"""Width of a figure, which is a page of IEEE journals, height of a panel, and height of title and
-labels, in inches."""
+"""Width of a figure (the width of the text on a page of IEEE journals), height of a panel, and
+height of the title and labels together, in inches."""
 
 BAND_ALPHA, LIMIT_ALPHA = 0.2, 0.1
 """Opacity of the bands of the 68 % limits, and of the contribution of unresolved terms."""

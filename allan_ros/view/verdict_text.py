@@ -245,8 +245,8 @@ def used_samples(results: Results) -> str:
     used, counts = results.samples, results.provenance.counts
     # with two topics, the counts are added up, but `used` is the number of samples of one topic
     two_topics = used < (1.0 - REPORTED_LEFT_OUT) * counts.used
-    reported = not two_topics and used < (1.0 - REPORTED_LEFT_OUT) * counts.received
-    total = f' of {counts.received:,}' if reported else ''
+    shows_total = not two_topics and used < (1.0 - REPORTED_LEFT_OUT) * counts.received
+    total = f' of {counts.received:,}' if shows_total else ''
     return f'{used:,}{total} samples'
 
 

@@ -41,7 +41,7 @@ def test_the_factor_is_published_with_the_model_and_a_large_one_is_a_warning(gra
     status = graph.until(lambda: (s := graph.status('in motion')) and 'times' in s.message and s)
     assert status.level == WARN
     assert 'In motion the angle error is' in status.message
-    assert 'more than 3 times' in status.message
+    assert 'the limit is 3 times' in status.message
     assert float(graph.value('in motion', 'factor of the angle error low')) > 3.0
     raised = [graph.value('in motion', f'factor of {term} of the gyro') for term in 'NK']
     assert any(factor and float(factor) > 3.0 for factor in raised)

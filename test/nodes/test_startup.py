@@ -118,7 +118,7 @@ def test_without_its_enclave_a_node_reports_it_and_ends(
         ({'estimator.baseline': '/no/such/results.json'}, 'no such file'),
         ({'input.labels': ('a b',)}, 'letters, digits and underscores'),
         ({'input.accel_topics': ('a', 'b')}, 'accel_topics has 2 entries for 1 topics'),
-        ({'relay.enabled': True, 'input.accel_unit': 'g'}, 'excludes input'),
+        ({'relay.enabled': True, 'input.accel_unit': 'g'}, 'cannot be combined with input'),
         ({'push.node': 'imu_filter'}, 'give a full name'),
         ({'push.node': '/a', 'push.filter': 'none-such'}, 'no plan for push.filter'),
         (

@@ -154,7 +154,7 @@ class _HalfBlocks:
     early: Floating
     # (octaves,) number of interpolated samples in the half block; infinite before the first sample
     interpolated: Floats
-    used: Flags  # (octaves,) whether the block that ends with the half block was not excluded
+    used: Flags  # (octaves,) whether the block that ends with this half block is in the spectra
 
     @classmethod
     def none(cls, octaves: range, axes: int, kind: str) -> _HalfBlocks:

@@ -325,7 +325,7 @@ def degrees_of_freedom(sums: AllanSums, m: Ints, stride: Ints, types: Ints) -> F
     (factors, axes) float64 array
         NaN at factors for which no segment is long enough.
     """
-    degrees = np.empty(types.shape)
+    dof = np.empty(types.shape)
     lengths = [round(samples) for samples, _ in sums.length_histogram]
     segments_of_length = [how_many for _, how_many in sums.length_histogram]
     for i in range(len(m)):
@@ -334,8 +334,8 @@ def degrees_of_freedom(sums: AllanSums, m: Ints, stride: Ints, types: Ints) -> F
             t: edf(t, int(m[i]), int(stride[i]), differences_per_segment, segments_of_length)
             for t in set(types[i].tolist())
         }
-        degrees[i] = [degrees_of_type[t] for t in types[i].tolist()]
-    return degrees
+        dof[i] = [degrees_of_type[t] for t in types[i].tolist()]
+    return dof
 
 
 # --- spectra --------------------------------------------------------------------------------------
@@ -346,15 +346,15 @@ class Spectra:
     """Mean power of the spectral blocks in all bins, from octave 0 (high frequencies) on.
 
     The powers of the bins of an octave are correlated, and so are overlapping blocks. ``dof`` are
-    the degrees of freedom of the mean power of one bin. A sum over all bins is as accurate as if
-    each bin was independent and had ``shared_dof`` degrees of freedom.
+    the dof of freedom of the mean power of one bin. A sum over all bins is as accurate as if
+    each bin was independent and had ``shared_dof`` dof of freedom.
     """
 
     octave: Ints  # (bins,) octave of each bin
     f: Floats  # (bins,) center frequencies in cycles per sample
     power: Floats  # (bins, axes) in the squared unit of the samples
-    dof: Floats  # (bins,) degrees of freedom of the power of a bin
-    shared_dof: Floats  # (bins,) degrees of freedom of the power of a bin in a sum over all bins
+    dof: Floats  # (bins,) dof of freedom of the power of a bin
+    shared_dof: Floats  # (bins,) dof of freedom of the power of a bin in a sum over all bins
     clump: Floats  # (bins,) sum of the squared correlations of a bin with all bins of its block
     blocks: Ints  # (octaves,) number of blocks
     pairs: Ints  # (octaves,) number of pairs of overlapping blocks

@@ -52,10 +52,10 @@ class Errors(NamedTuple):
     """Errors of the coefficients and shapes of a fit, in the units of the fit."""
 
     information: Floats  # Fisher information of the coefficients, then of the shapes
-    # covariance of the coefficients if the shapes are unknown, too; 0 for coefficients that are
-    # held at 0
+    # covariance of the coefficients, which includes the uncertainty of the shapes; 0 for
+    # coefficients that are held at 0
     covariance: Floats
-    # standard error of the logarithm of each fitted number of a shape, times the coefficient
+    # for each fitted number of a shape: coefficient times the standard error of the logarithm
     of_shapes: Mapping[Shape, float]
 
     @classmethod

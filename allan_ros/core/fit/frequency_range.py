@@ -32,16 +32,17 @@ LACK_OF_FIT = 1e-3
 model is rejected: false alarms on 0.1 % of the axes. Measured: 0.05 % of 2100 axes."""
 
 CURVATURE = 2.5
-"""Size, in standard errors, of a further power of f in the spectrum (f^2, or f^4 if q may be
-negative) above which a low-pass filter is assumed: false alarms on 0.6 % of the axes (one-sided).
-Measured: 0.6 % of 2100 axes."""
+"""A low-pass filter is assumed if the next power of f in the spectrum exceeds this number of its
+standard errors. The next power is f^2, or f^4 if q may be negative. The expected rate of false
+alarms is 0.6 % (one-sided). A filter was found on 0.6 % of 2100 axes without a filter."""
 
 LEAST_BINS = 12
 """Fewest bins of a fit that does not use all frequencies."""
 
 WHITE_NOISE = 3.0
 """Least ratio of the variance of the white noise to the standard error of this variance in a model
-that passes its tests. The measured false alarms of `CURVATURE` include this test."""
+that passes its tests. The rate of false alarms that is stated at `CURVATURE` was
+measured with this test."""
 
 LOST_POWER = 0.8, 0.5
 """Least power in the highest octave of a fit, relative to the power two octaves lower, for which a
@@ -227,8 +228,9 @@ def _highest(rules: Selection) -> _Trial:
     """Return the trial with the highest frequency for which the model passes all tests.
 
     A trial that nearly passes is fair (`_Verdict.is_fair`). After the first fair trial, only a half
-    and a quarter of its frequency are tried: a filter explains why a model passes there. If no
-    trial passes, the result is the fair trial, or the first trial if none is fair.
+    and a quarter of its frequency are tried. If a low-pass filter is the cause, the model passes at
+    one of these frequencies. If no trial passes, the result is the fair trial, or the first trial
+    if none is fair.
     """
     f = rules.data.statistics.f
     tops = [top for top in TOPS if np.sum(f < top) >= LEAST_BINS]

@@ -261,8 +261,8 @@ class Selection:
         frequencies = (c.shape[0] for c in fit.components if c.is_line)
         octaves = np.log2(sorted(each for each in frequencies if each > self.fastest / 64.0))
         others = LINES_PER_OCTAVE - 1
-        bends = self.signed or any(c.bends_spectrum for c in fit.components)
-        has_broad = bends and any(c.is_broad_near(self.fastest) for c in fit.components)
+        has_bent_spectrum = self.signed or any(c.bends_spectrum for c in fit.components)
+        has_broad = has_bent_spectrum and any(c.is_broad_near(self.fastest) for c in fit.components)
         return bool(has_broad or np.any(octaves[others:] - octaves[:-others] < 1.0))
 
     def bounded(self, fit: Fit) -> Fit:

@@ -242,8 +242,8 @@ class Statistics:
         """Expectation for unit white noise for each axis, with the effect of replaced samples.
 
         A spectral block is excluded from the sums if a share of more than `MAX_INTERPOLATED` is
-        replaced. If a stretch is longer than this share of a block, only its two ends are in blocks
-        that are not excluded. The ends have half a block of samples on average.
+        replaced. If a replaced stretch is longer than this share of a block, only its two ends
+        are in blocks that are not excluded. Together, the ends are half a block long on average.
         """
         power = self.power_of(White())
         low = _low_covariances(White(), self.step, self.sizes)
@@ -332,10 +332,11 @@ class Settling:
 
 
 def statistics(sums: AllanSums, settling: Settling | None = None) -> Statistics:
-    """Return the statistics of Allan sums; a settling has no effect on a fit of these statistics.
+    """Return the statistics of Allan sums, in which a settling has no effect on a fit.
 
-    The contrasts of the block means are orthogonal to the exponential of the settling, so that the
-    size of the settling has no effect. The share of the settling in the power of the octave spectra
+    A settling is an exponential change of the bias after the start of the IMU. The contrasts of the
+    block means are orthogonal to the exponential of the settling, so that the size of the settling
+    has no effect. The share of the settling in the power of the octave spectra
     is computed, and a fit subtracts it.
     """
     spectra = pooled_spectra(sums)

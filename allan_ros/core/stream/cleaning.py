@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Prepares the samples of a stream: chooses their stamps, sorts them, and excludes unusable ones.
 
-Excluded are samples of a time that earlier samples cover, duplicates, samples that are not finite,
-and samples with backward stamps. Samples that a driver repeats at random are interpolated.
+Duplicates, samples that are not finite, samples with backward stamps, and samples of a time that
+earlier samples cover are excluded. Samples that a driver repeats at random are interpolated.
 """
 
 from __future__ import annotations

@@ -305,9 +305,9 @@ class _Blocks(NamedTuple):
 
     duration: float  # duration of a block in s
     number: int  # number of blocks
-    before: Floats  # share of the first rest in each block
+    before: Floats  # fraction of each block that lies in the rest before the drive
     inside: NDArray[np.intp]  # index of the block of each sample of the drive, (n,)
-    after: Floats  # share of the second rest in each block
+    after: Floats  # fraction of each block that lies in the rest after the drive
 
     @classmethod
     def of(cls, drive: Drive) -> _Blocks:

@@ -513,6 +513,6 @@ def gravity_findings(norm: float, axes: tuple[str, ...]) -> list[Finding]:
         return [finding('accel_unit', axes, norm=norm, unit='m/s^2')]
     unit = gravity_unit(norm)
     if unit:
-        is_gravity = unit == 'm/s^2'
-        return [] if is_gravity else [finding('accel_unit', axes, norm=norm, unit=unit)]
+        is_si = unit == 'm/s^2'
+        return [] if is_si else [finding('accel_unit', axes, norm=norm, unit=unit)]
     return [finding('accel_scale', axes, norm=norm)] if norm >= WEIGHTLESS else []

@@ -147,8 +147,8 @@ ABSOLUTE_ZERO, HOTTEST = -273.15, 1000.0
 """Plausible range of a temperature in degC; readings outside of it are ignored."""
 
 HOTTEST_IMU = 200.0
-"""If the median of the readings in degC is above this value, the readings are in K: IMUs are
-specified up to 175 degC, and 200 K is below the lower limit of every IMU."""
+"""If the median of readings that are declared as degC is above this value, the readings are taken
+as K. IMUs are specified up to 175 degC, and 200 K is below the lower limit of every IMU."""
 
 
 @dataclass(frozen=True)

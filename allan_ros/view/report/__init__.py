@@ -208,8 +208,10 @@ def _header(results: Results, name: str, units: str) -> Iterator[str]:
 
 def _items(texts: Iterable[str]) -> str:
     # no line break within an option such as --to
-    option = partial(re.compile(r'--[a-z][a-z-]*').sub, r'<span class="nowrap">\g<0></span>')
-    return ''.join(f'<li>{option(escape(text))}</li>' for text in texts)
+    unbroken_options = partial(
+        re.compile(r'--[a-z][a-z-]*').sub, r'<span class="nowrap">\g<0></span>'
+    )
+    return ''.join(f'<li>{unbroken_options(escape(text))}</li>' for text in texts)
 
 
 def _verdict_section(results: Results, verdict: Verdict) -> str:

@@ -78,7 +78,7 @@ def test_a_fast_process_looks_like_white_noise():
 
 
 def test_processes_without_states_are_refused_or_approximated():
-    with pytest.raises(AllanError, match='no longest time'):
+    with pytest.raises(AllanError, match='no longest correlation time'):
         StateSpace(1.0, 0.0, ((1.0, PROCESSES['flicker']()),)).noise(1.0)
     space = state_space(Model.of((1e-3, GaussMarkov(7.0)), N=1e-3, B=1e-4, K=1e-6, R=1e-9))
     assert len(space.processes) == 5 and space.processes[-1] == (1e-3, GaussMarkov(7.0))
