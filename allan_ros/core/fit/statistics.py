@@ -336,8 +336,8 @@ def statistics(sums: AllanSums, settling: Settling | None = None) -> Statistics:
 
     A settling is an exponential change of the bias after the start of the IMU. The contrasts of the
     block means are orthogonal to the exponential of the settling, so that the size of the settling
-    has no effect. The share of the settling in the power of the octave spectra
-    is computed, and a fit subtracts it.
+    has no effect. The share of the settling in the power of the octave spectra is computed, and a
+    fit subtracts it.
     """
     spectra = pooled_spectra(sums)
     longest = max((m.samples for r in sums.recordings for m in r.means), default=0)

@@ -60,8 +60,9 @@ POLLED_SHARE = 0.95
 between 0.4 and 2.2 times the mean step."""
 
 FEWEST_STEPS = 8
-"""A period is learned from the first stamps if at least this number of their steps are above 0.
-With fewer steps, in long bursts of equal stamps, the period depends on where the last burst begins."""
+"""A period is learned from the first stamps if at least this number of their steps are above 0. If
+fewer steps are above 0, in long bursts of equal stamps, the period depends on where the last burst
+begins."""
 
 EVEN_SHARE, EVEN = 0.9, 0.15
 """Stamps have evenly spaced runs if at least the first share of the steps differs from the median
