@@ -69,7 +69,12 @@ class SerialRule:
         else:
             found = _first_value(place, self._what)
         serial = one_line(str(found)).strip() if found is not None else ''
-        if not serial or len(serial) > MAX_NAME:
+        if len(serial) > MAX_NAME:
+            raise AllanError(
+                f'{path}: the serial number {serial!r:.40} has more than {MAX_NAME} characters; '
+                'correct --serial-from'
+            )
+        if not serial:
             problems = {
                 'name': 'the pattern does not match the file name',
                 'metadata': f'the bag has no custom data {self._what!r:.40}',

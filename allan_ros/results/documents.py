@@ -313,7 +313,8 @@ def _settings_from_document(fields: Fields) -> Mapping[str, Any]:
         value = fields.value(name)
         items = value if isinstance(value, list) else [value]
         is_plain = all(v is None or isinstance(v, (bool, str, int, float)) for v in items)
-        if not is_plain or max(len(items), len(settings)) > MAX_SETTINGS or math.inf in items:
+        are_too_many = len(items) > MAX_SETTINGS or len(settings) == MAX_SETTINGS
+        if not is_plain or are_too_many or math.inf in items:
             raise AllanError(f'{fields.where}: {name!r:.40} is not a known setting')
         settings[name] = value
     return settings

@@ -163,6 +163,10 @@ def test_serials_from_tables_and_bags(tmp_path: Path) -> None:
     ):
         with pytest.raises(AllanError, match='serial'):
             SerialRule(text).serial_of(str(path))
+    long = tmp_path / 'long.csv'
+    long.write_text('serial\n' + 2000 * '7' + '\n')
+    with pytest.raises(AllanError, match='has more than 1000 characters'):
+        SerialRule('column:serial').serial_of(str(long))
     for text in ('serial', 'name:', 'name:(', 'row:7'):
         with pytest.raises(AllanError, match='--serial-from'):
             SerialRule(text)

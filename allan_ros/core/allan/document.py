@@ -47,9 +47,6 @@ MAX_SUM = 1e80
 """Largest accepted sum of squares. A fit computes the third power of a sum, which must not
 overflow."""
 
-MAX_PERIOD_NS = 10**13
-"""Longest accepted sample period in ns, nearly three hours."""
-
 TEXT_KEYS = ('frame_id', 'hardware_id', 'checksum')
 """Keys that the checksum does not cover. A name that is not UTF-8 is written with escapes, which
 would change the checksum."""
