@@ -160,7 +160,8 @@ class Judge:
     def _note(self, name: str, results: Results) -> str:
         """Return a text if an earlier unit has the same samples or serial number, else ''.
 
-        The samples are the same if their number and all coefficients are equal.
+        The samples count as the same if their number and all coefficients are equal. They are not
+        compared if no coefficient has a value.
         """
         values = [c.value for axis in results.axes.values() for c in axis.fit.noise.values()]
         samples = (results.samples, *values) if any(values) else None

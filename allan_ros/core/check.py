@@ -97,7 +97,8 @@ class Check:
         A term (Q, N, B, K or R), 'adev' for the Allan deviation at ``tau``, or another quantity
         that a test plan limits.
     reference : str
-        Name of the datasheet, plan or recording that the number is compared with.
+        Name of the datasheet, plan or recording that the number is compared with, or the number of
+        IMUs that others measured, such as '3 units'.
     measured : Estimate
         The measured number. It has neither value nor limit if only the ratio is known.
     lower, upper : float or None
@@ -107,15 +108,15 @@ class Check:
         Ratio of the measured number to ``upper``. If only one of two recordings resolves the
         number, the ratio has no value, and one end of its interval is 0 or infinity.
     verdict : Judgement
-        See `Judgement`. The verdicts 'higher' and 'lower' are corrected for the number of
-        comparisons.
+        See `Judgement`. In a comparison of recordings, the verdicts 'higher' and 'lower' are
+        corrected for the number of comparisons.
     tau : float or None
         Averaging time in s of an Allan deviation; None for other quantities.
     p : float or None
         p value: the probability of a difference at least as large between recordings of equal
         noise; None if unknown, or in a comparison with limits.
     note : str
-        Why the number is unknown; '' if it is known.
+        Why a number that a plan limits is unknown; '' if it is known or the reason is not stated.
     """
 
     axis: str

@@ -394,8 +394,9 @@ def records(data: bytes) -> Iterator[tuple[int, int, int]]:
 def equal_messages(data: bytes, start: int, end: int) -> NDArray[np.void] | None:
     """Return the message records in the rest of ``data``, (n,), without copying them.
 
-    The content of the first of these records is ``data[start:end]``. Returns None if any record
-    after it is not a message record, or has another length.
+    The content of the first of these records is ``data[start:end]``. Returns None if the messages
+    have no payload, or if any record after the first is incomplete, is not a message record, or has
+    another length.
     """
     first, length = start - RECORD_HEAD.size, end - start
     count, rest_bytes = divmod(len(data) - first, RECORD_HEAD.size + length)

@@ -103,7 +103,9 @@ def survey_bag(bag: Bag) -> Survey:
     """Return the topics of a bag, and the number of messages of each topic.
 
     The numbers are taken from metadata.yaml. If this file is missing, or states no Imu messages,
-    which may be wrong, the messages in all files are counted.
+    which may be wrong, the messages in all files are counted, and the larger number is used for
+    each topic. Raises AllanError when a file that is opened is missing, damaged, or not a bag; the
+    first file is always opened.
     """
     described = bag.described or {}
     survey = Survey(

@@ -13,7 +13,7 @@ from typing import Any
 from ..core.errors import AllanError, one_line
 from ..core.imu import MAX_NAME
 from .files import open_regular, read_yaml
-from .recording import METADATA
+from .recording import METADATA, translated
 
 LONGEST_LINE = 100_000
 """Largest number of bytes that are read from each line of a table."""
@@ -58,7 +58,8 @@ class SerialRule:
     def serial_of(self, path: str) -> str:
         """Return the serial number of the IMU whose recording is at ``path``.
 
-        Raises AllanError if there is no serial number, or if the file cannot be read.
+        Raises AllanError if there is no serial number, if it has more than `MAX_NAME` characters,
+        or if the file cannot be read.
         """
         place = Path(path)
         if self._kind == 'name':
@@ -110,7 +111,8 @@ def _first_value(place: Path, name: str) -> object:
         return values_of_array[0] if len(values_of_array) else None
     if place.suffix.lower() not in ('.csv', '.tsv'):
         raise AllanError(f'{place}: a serial from a column needs a table or an .npz file')
-    with open_regular(place) as file:
+    remedy = 'check the path and the table'
+    with translated(place, (OSError,), remedy), open_regular(place) as file:
         lines: list[str] = []
         while len(lines) < 2 and (line := file.readline(LONGEST_LINE)):
             text = line.decode('utf-8-sig', 'replace').strip()
@@ -118,6 +120,7 @@ def _first_value(place: Path, name: str) -> object:
     if len(lines) < 2:
         return None
     delimiter = max(',;\t', key=lines[0].count)
-    names, values = (next(csv.reader([line], delimiter=delimiter)) for line in lines)
+    with translated(place, (csv.Error,), remedy):
+        names, values = (next(csv.reader([line], delimiter=delimiter)) for line in lines)
     first_row = dict(zip((each.strip() for each in names), values))
     return first_row.get(name)

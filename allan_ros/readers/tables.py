@@ -220,11 +220,12 @@ def _names(
     path : Path
         Path of the table.
     first_cells : tuple of str
-        Cells of the first line that is not a comment.
+        Cells of the first row, before which there are only comments and blank lines.
     comment_cells : list of str
-        Cells of the last comment before the first line that is not a comment.
+        Cells of the last comment before the first row.
     number : int
-        Number, in the file, of the first line that is not a comment.
+        Number, in the file, of the last line of the first row; a quoted cell may contain line
+        breaks.
     columns : tuple of str
         Names of the columns according to the options.
 

@@ -223,11 +223,14 @@ class AxisResult:
         return model_line(self.fit, self.tau0, curve.m)
 
     def total_adev(self, m: ArrayLike) -> NDArray[np.float64]:
-        """Return the Allan deviation of the fitted model, (factors,), in SI.
+        """Return the Allan deviation of the fitted model, in SI, in the shape of ``m``.
 
-        ``m`` are averaging factors, which are averaging times in samples.
+        ``m`` are averaging factors, which are averaging times in samples. If the samples are
+        low-pass filtered, the result is NaN at short averaging times at which the variance of the
+        model is negative. Raises AllanError if ``m`` is not an array of numbers.
         """
-        total: NDArray[np.float64] = np.sqrt(self.fit.model.avar(self._tau(m), self.tau0))
+        with np.errstate(invalid='ignore'):
+            total: NDArray[np.float64] = np.sqrt(self.fit.model.avar(self._tau(m), self.tau0))
         return total
 
 

@@ -99,7 +99,7 @@ temperature of the recording, if no model of the bias covers the temperature of 
 
 @dataclass(frozen=True)
 class Limits:
-    """Limits of one quantity: in SI, but in degC for a temperature, and in deg for an angle.
+    """Limits of one quantity in SI; a temperature is in degC, and the orientation in deg.
 
     ``lower`` or ``upper`` is None if there is no such limit. ``unit`` is the unit in which the plan
     states the limits, and ``scale`` is the factor from this unit to the unit of both limits.

@@ -167,6 +167,11 @@ def test_serials_from_tables_and_bags(tmp_path: Path) -> None:
     long.write_text('serial\n' + 2000 * '7' + '\n')
     with pytest.raises(AllanError, match='has more than 1000 characters'):
         SerialRule('column:serial').serial_of(str(long))
+    broken = tmp_path / 'broken.csv'
+    broken.write_bytes(b'serial\rx,b\n1,2\n')
+    for path in (broken, tmp_path / 'missing.csv'):
+        with pytest.raises(AllanError, match='check the path and the table'):
+            SerialRule('column:serial').serial_of(str(path))
     for text in ('serial', 'name:', 'name:(', 'row:7'):
         with pytest.raises(AllanError, match='--serial-from'):
             SerialRule(text)

@@ -96,7 +96,7 @@ def longest_recommended(
     """Return the longest of the recommended lengths in s, and the terms of all recommendations.
 
     ``advice`` contains the result of `recommended_duration` for each axis. The result is None if no
-    axis needs a longer recording.
+    longer recording is recommended for any axis.
     """
     recommended = [each for each in advice if each is not None]
     if not recommended:

@@ -243,7 +243,8 @@ class Statistics:
 
         A spectral block is excluded from the sums if a share of more than `MAX_INTERPOLATED` is
         replaced. If a replaced stretch is longer than this share of a block, only its two ends
-        are in blocks that are not excluded. Together, the ends are half a block long on average.
+        are in blocks that are not excluded. Weighted with the squared taper, both ends together
+        count like half a block on average.
         """
         power = self.power_of(White())
         low = _low_covariances(White(), self.step, self.sizes)

@@ -100,7 +100,8 @@ def _is_isolated(far: Flags, at: int) -> bool:
     """Return whether a spike is isolated.
 
     ``far``, (n,), flags samples that deviate, and ``at`` is the index of the spike. It is isolated
-    if its two direct neighbors are not flagged, and at most one other sample is flagged.
+    if it has two direct neighbors, neither of them is flagged, and at most one other sample is
+    flagged.
     """
     inside = 0 < at < len(far) - 1
     return inside and not far[at - 1] and not far[at + 1] and int(np.count_nonzero(far)) <= 2

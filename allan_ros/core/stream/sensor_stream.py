@@ -39,11 +39,14 @@ this is decided when the new period is learned."""
 class SensorStream:
     """Computes the sums of axes that are sampled together, from their samples at rest.
 
-    The axes are all six axes, or the axes of one sensor if the sensors have different rates. The
+    The axes are all axes that the IMU has, or the axes of one sensor if the sensors have different
+    rates or only one sensor is used. The
     stages are: `SampleFilter`, `SampleClock`, `RepeatFilter` (if the driver repeats samples at
     random), `MotionGate`, and the sums of a `NoiseLevel`.
     ``gate`` is None before the sample period is learned, or if motion detection is switched off.
-    ``recorder`` has the drives between two rests if ``with_drives`` is set, else it is None.
+    ``recorder`` has the drives between two rests at the present sample rate. It is None if
+    ``with_drives`` is not set, if the stream does not have all six axes, or as long as ``gate`` is
+    None at the first sample rate.
     """
 
     def __init__(
