@@ -79,7 +79,7 @@ class FormerValues:
     def store(self, values: Mapping[str, Former]) -> None:
         """Replace the content of the file; remove the file if there are no values.
 
-        Raises AllanError if the file cannot be written.
+        Raises AllanError if the file cannot be written or removed.
         """
         if values == self._stored:
             return
@@ -88,7 +88,13 @@ class FormerValues:
             document = {'schema': SCHEMA, 'node': self._node, 'parameters': parameters}
             write_atomic(self.path, to_json(document))
         else:
-            self.path.unlink(missing_ok=True)
+            try:
+                self.path.unlink(missing_ok=True)
+            except OSError as error:
+                raise AllanError(
+                    f'{self.path} cannot be removed ({error.strerror}): remove it, or correct the '
+                    'permissions of its folder'
+                ) from error
         self._stored = dict(values)
 
     def close(self) -> None:

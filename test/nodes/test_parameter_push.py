@@ -396,3 +396,15 @@ def test_a_bad_plan_is_rejected_with_its_name(tmp_path: Path, old: str, new: str
     with pytest.raises(AllanError) as refused:
         load_plan(str(path))
     assert reason in str(refused.value) and 'bad.yaml' in str(refused.value)
+
+
+def test_former_values_that_cannot_be_removed_are_an_error(monkeypatch, tmp_path) -> None:
+    monkeypatch.setenv('ROS_HOME', str(tmp_path))
+    former = FormerValues('/filter')
+    former.open()
+    former.store({'gain': Former((0.1,), ())})
+    former.path.unlink()
+    former.path.mkdir()
+    with pytest.raises(AllanError, match='cannot be removed'):
+        former.store({})
+    former.close()
