@@ -470,33 +470,55 @@ def with_fault(whole: Messages, fault: Fault, place: slice, rng: Rng) -> Message
     return Messages.joined([whole.part(slice(place.start)), disturbed, later]).in_order()
 
 
+@dataclass(frozen=True)
+class Course:
+    """Messages of an IMU with a fault from ``begin_s`` to ``end_s``; they last ``seconds``."""
+
+    begin_s: float
+    end_s: float
+    seconds: int
+    messages: Messages
+
+    @classmethod
+    def of(cls, fault: Fault, at_boot: bool, lasts_s: int | None, seed: int) -> Course:
+        """Simulate a fault from boot or after a random time; it heals after ``lasts_s``, if given."""
+        rng = np.random.default_rng([seed, at_boot, lasts_s or 0])
+        begin_s = 0.0 if at_boot else BEGIN_S + round(PHASE_S * rng.random(), 2)
+        end_s = begin_s + (lasts_s or LASTING_S)
+        seconds = math.ceil(end_s) + (AFTER_S if lasts_s else 0)
+        whole = messages_of(rounded(simulated(seconds, rng)))
+        place = slice(round(begin_s * RATE), round(end_s * RATE))
+        return cls(begin_s, end_s, seconds, with_fault(whole, fault, place, rng))
+
+
+def has_name(fault: Fault, at_boot: bool) -> bool:
+    """Return whether a finding or a state can name a fault."""
+    return bool(fault.names) and (fault.shows_at_boot or not at_boot)
+
+
 def run(fault: Fault, at_boot: bool, lasts_s: int | None, seed: int) -> Outcome:
-    """Simulate a fault from a time on, which heals unless ``lasts_s`` is None."""
-    rng = np.random.default_rng([seed, at_boot, lasts_s or 0])
-    begin_s = 0.0 if at_boot else BEGIN_S + round(PHASE_S * rng.random(), 2)
-    end_s = begin_s + (lasts_s or LASTING_S)
-    seconds = math.ceil(end_s) + (AFTER_S if lasts_s else 0)
-    whole = messages_of(rounded(simulated(seconds, rng)))
-    first, last = round(begin_s * RATE), round(end_s * RATE)
-    sent = with_fault(whole, fault, slice(first, last), rng)
-    seen = watched(sent, seconds)
+    """Simulate a fault, and return what is seen of it without ROS."""
+    course = Course.of(fault, at_boot, lasts_s, seed)
+    begin_s, end_s, seconds = course.begin_s, course.end_s, course.seconds
+    seen = watched(course.messages, seconds)
     names = set(fault.names.split())
     named = [
         second - begin_s
         for second, ids in enumerate(seen.findings, start=1)
         if second > begin_s and (names & {*ids, f'state:{seen.states[second - 1]}'})
     ]
-    can_be_named = names and (fault.shows_at_boot or not at_boot)
     ill = [
         second
         for second, (ids, state) in enumerate(zip(seen.findings, seen.states), start=1)
         if {*ids.values()} & {'warning', 'error'} or state != 'at_rest'
     ]
     healed = max(0.0, max(ill, default=0) - end_s) if lasts_s else None
-    good = len(whole) if fault.is_good else len(whole) - (last - first)
+    good = seconds * RATE
+    if not fault.is_good:
+        good -= round(end_s * RATE) - round(begin_s * RATE)
     error, used = _numbers(fault, seen, good, lasts_s)
     return Outcome(
-        min(named, default=np.inf) if can_be_named else None,
+        min(named, default=np.inf) if has_name(fault, at_boot) else None,
         healed,
         error,
         used,

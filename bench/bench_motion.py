@@ -143,7 +143,7 @@ def row(name: str, found: list[Outcome]) -> str:
         each = [one.sensors[sensor] for one in motions]
         ratio = np.median([one.factor.value for one in each])
         white = [one.white or Estimate(1.0, (1.0, 1.0)) for one in each]
-        worse = np.mean([one.is_worse for one in each])
+        worse = np.mean([motion.is_worse(sensor) for motion in motions])
         inside = '  – '
         if true is not None:
             ends = np.array([one.ci95 for one in white])

@@ -36,21 +36,19 @@ from ..view.finding_text import finding_line
 from ..view.result_document import result_document
 from ..view.result_settings import ResultSettings
 from ..view.verdict_text import verdict_of
-from .batch import (
+from .batch import run_batch, run_check, unread_units
+from .cluster import on_cluster
+from .console import EXIT_ERROR, Console, colored, width
+from .options import Command, Option, Settings, settings_of
+from .outcomes import (
     EXIT_FAILED,
     EXIT_UNJUDGED,
     BatchItem,
     exit_code_of,
     fit_and_write,
     names_of,
-    on_cluster,
-    run_batch,
-    run_check,
     split_by_topic,
-    unread_units,
 )
-from .console import EXIT_ERROR, Console, colored, width
-from .options import Command, Option, Settings, settings_of
 from .result_lines import findings_lines, results_lines
 
 EXITS = {

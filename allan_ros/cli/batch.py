@@ -1,52 +1,39 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Analyze or check several units (IMUs): results for each unit, and a summary of all units.
-
-Recordings are read in this process, in several processes, or on a Dask cluster.
-"""
+"""Decide about units (IMUs), print a line for each unit, and write a summary of all units."""
 
 from __future__ import annotations
 
 import argparse
 import csv
 import io
-import re
 import sys
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
 from typing import Any
 
-from ..api.analysis import is_document
-from ..api.classes import compared
 from ..core.check import Check
 from ..core.errors import AllanError, one_line
 from ..core.estimate import value_text
 from ..core.fields import plain
-from ..core.findings import SEVERITIES, Finding, finding
+from ..core.findings import Finding
 from ..core.fit.record_length import ADVISED_TERMS
 from ..core.imu import SENSORS, SI_UNITS, sensor_of, shown_unit
-from ..readers import topics_of
 from ..readers.files import open_regular, write_atomic
-from ..readers.recorded import ReadJob, RecordingSums, add_recordings, read_recording
-from ..readers.serials import SerialRule
-from ..results.analysis import analyze_recorded
-from ..results.documents import load, load_sums
+from ..readers.recorded import ReadJob
 from ..results.plan import Limits, Plan, load_plan
 from ..results.results import Results
 from ..results.unit_check import DECISION_WORDS, Decision, UnitCheck, check_unit, worst
 from ..view.batch_files import INDEX, SUMMARY
-from ..view.finding_text import explained, finding_line
+from ..view.finding_text import finding_line
 from ..view.result_document import result_document
-from ..view.result_settings import ResultSettings
 from ..view.unit_text import unchecked_text, unit_sentences
 from ..view.verdict_text import VERDICT_WORDS, verdict_of
-from .console import EXIT_ERROR, EXIT_FAULT, Console, colored, fault_text, painted
-from .options import settings_of
+from .console import EXIT_ERROR, Console, colored, painted
+from .outcomes import BatchItem, Outcome, exit_code_of, fails, names_of, outcomes_of
 from .result_lines import LEVEL_COLORS
-
-EXIT_FAILED, EXIT_UNJUDGED = int(Decision.EXCEEDS), int(Decision.NOT_JUDGED)
 
 CHECK_SCHEMA = 'allan_ros/unit_check/1'
 
@@ -58,39 +45,6 @@ MAX_SUMMARY = 100_000_000
 
 MOST_NAMED = 10
 """Largest number of names of units that the line with the totals contains for each verdict."""
-
-
-@dataclass(frozen=True)
-class BatchItem:
-    """One unit (IMU) of a batch: its name in the summary, and the jobs that read its recordings.
-
-    ``short`` is a shorter unique name, from which the folder of the unit is named; '' to use
-    ``name``.
-    """
-
-    name: str
-    jobs: Sequence[ReadJob]
-    short: str = ''
-
-    @property
-    def folder(self) -> str:
-        """Name of the folder for the files of the unit."""
-        return folder_name(self.short or self.name)
-
-    @property
-    def path(self) -> str:
-        """The path of the first recording."""
-        return self.jobs[0].path
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """The results of one unit, or the reason why there are no results."""
-
-    unit: BatchItem
-    results: Results | None = None
-    error: str = ''
-    code: int = EXIT_ERROR  # exit code if there are no results
 
 
 @dataclass(frozen=True)
@@ -181,7 +135,7 @@ def run_batch(jobs: Sequence[ReadJob], args: argparse.Namespace) -> int:
     judge = Judge(args, None, decides=False)
     findings: list[Finding] = []
     _make_output(args)
-    for outcome in _outcomes([BatchItem(n, [job]) for n, job in zip(names_of(jobs), jobs)], args):
+    for outcome in outcomes_of([BatchItem(n, [job]) for n, job in zip(names_of(jobs), jobs)], args):
         units.append(judged := judge.judged(outcome))
         code = outcome.code
         if outcome.results is not None:
@@ -247,7 +201,7 @@ def run_check(
     unchecked: dict[str, None] = {}
     number = len(units) + len(unread)
     _make_output(args)
-    for outcome in chain(_outcomes(units, args), unread):
+    for outcome in chain(outcomes_of(units, args), unread):
         judged_units.append(one := judge.judged(outcome))
         unchecked |= dict.fromkeys(one.check.unchecked if one.check else ())
         if console.json:
@@ -403,175 +357,6 @@ def _limit_document(check: Check, limits: Limits) -> dict[str, Any]:
     }
 
 
-def fails(results: Results, severity: str | None) -> bool:
-    """Return whether ``--fail-on`` applies to the results.
-
-    The option applies if a finding has at least the severity ``severity``, or if the level of the
-    results is 'failed'. ``severity`` is None if the option is not given.
-    """
-    if severity is None:
-        return False
-    severities = SEVERITIES[: SEVERITIES.index(severity) + 1]
-    return results.level == 'failed' or any(f.severity in severities for f in results.findings)
-
-
-def exit_code_of(results: Results, fail_on: str | None) -> int:
-    """Return the exit code of an analysis.
-
-    The code is 3 if ``--fail-on`` applies, 1 if no coefficient has a value, else 0.
-    """
-    if fails(results, fail_on):
-        return EXIT_FAILED
-    coefficients = (c for axis in results.axes.values() for c in axis.fit.noise.values())
-    return 0 if any(c.value is not None for c in coefficients) else EXIT_ERROR
-
-
-def _outcomes(units: Sequence[BatchItem], args: argparse.Namespace) -> Iterator[Outcome]:
-    """Yield the outcome of each unit, in the order of the units.
-
-    The units are analyzed in this process, in several processes, or on a cluster.
-    """
-    if getattr(args, 'scheduler', None):
-        recorded_units = on_cluster(
-            [unit.jobs[0] for unit in units], args.scheduler, Console.of(args)
-        )
-        for unit, recorded in zip(units, recorded_units):
-            yield outcome_of(unit, args, recorded)
-        return
-    if min(args.jobs, len(units)) == 1:
-        yield from map(outcome_of, units, [args] * len(units))
-        return
-    from concurrent.futures import ProcessPoolExecutor
-    from multiprocessing import get_context
-
-    with ProcessPoolExecutor(min(args.jobs, len(units)), mp_context=get_context('spawn')) as pool:
-        yield from pool.map(outcome_of, units, [args] * len(units))
-
-
-def outcome_of(
-    unit: BatchItem,
-    args: argparse.Namespace,
-    recorded: RecordingSums | Finding | Exception | None = None,
-) -> Outcome:
-    """Read and fit one unit, write its files if a folder is given, and return the outcome.
-
-    Parameters
-    ----------
-    unit : BatchItem
-        The unit.
-    args : Namespace
-        Arguments of the command line.
-    recorded : RecordingSums, Finding or Exception, optional
-        The Allan sums of the unit, or the reason why there are none. If None, the recordings of the
-        unit are read.
-    """
-    output = getattr(args, 'output', None)
-    settings = settings_of(ResultSettings, args)
-    try:
-        serial = SerialRule(args.serial_from).serial_of(unit.path) if args.serial_from else ''
-        if is_document(unit.path) and not output:
-            results = load(unit.path, settings.method)
-            references = settings.sensor, settings.baseline, settings.stated_margin
-            return Outcome(unit, compared(results, *references))
-        if recorded is None:
-            recorded = add_recordings(
-                load_sums(job.path) if is_document(job.path) else read_recording(job)
-                for job in unit.jobs
-            )
-        elif isinstance(recorded, Exception):
-            raise recorded
-        elif isinstance(recorded, Finding):
-            raise AllanError(finding_line(recorded))
-        if serial:
-            recorded = recorded.with_serial(serial)
-        folder = Path(output) / unit.folder if output else None
-        return Outcome(unit, fit_and_write(recorded, args, folder)[0])
-    except AllanError as error:
-        return Outcome(unit, error=str(explained(error)))
-    except OSError as error:
-        return Outcome(unit, error=one_line(f'{unit.path}: {error}: check the path and the disk'))
-    except MemoryError:
-        return Outcome(unit, error=f'{unit.path}: not enough memory: use fewer --jobs')
-    except Exception as error:  # a bug that one unit causes must not end the batch
-        return Outcome(unit, error=one_line(f'{unit.path}: {fault_text(error)}'), code=EXIT_FAULT)
-
-
-def fit_and_write(
-    recorded: RecordingSums, args: argparse.Namespace, folder: str | Path | None
-) -> tuple[Results, list[str]]:
-    """Fit Allan sums, and write the files of the results.
-
-    Parameters
-    ----------
-    recorded : RecordingSums
-        The Allan sums.
-    args : Namespace
-        Arguments of the command line.
-    folder : path or None
-        Folder for the files; None or '' to write no files.
-
-    Returns
-    -------
-    Results
-        The results.
-    list of str
-        Sorted names of the files.
-
-    Raises
-    ------
-    AllanError
-        When there are too few data, or a file cannot be written.
-    """
-    settings = settings_of(ResultSettings, args)
-    rest_results = load(settings.noise) if settings.noise else None
-    results = analyze_recorded(recorded, settings.method, rest_results)
-    results = compared(results, settings.sensor, settings.baseline, settings.margin)
-    if not folder:
-        return results, []
-    from ..view.result_files import write_result_files
-
-    results, paths = write_result_files(
-        folder,
-        results,
-        command=args.command_line,
-        units=settings.units,
-        targets=settings.export,
-        plots=settings.plots,
-        overwrite=args.overwrite,
-    )
-    return results, sorted(path.name for path in paths)
-
-
-def split_by_topic(jobs: Sequence[ReadJob]) -> list[ReadJob]:
-    """Replace each job for a bag without a selected topic by one job for each Imu topic."""
-    separate_jobs = []
-    for job in jobs:
-        chosen_topic = job.reading.topic or job.reading.accel_topic
-        topics = [] if chosen_topic else topics_of(job.path)
-        topic_jobs = [replace(job, reading=replace(job.reading, topic=topic)) for topic in topics]
-        separate_jobs += topic_jobs if len(topic_jobs) > 1 else [job]
-    return separate_jobs
-
-
-def names_of(jobs: Sequence[ReadJob]) -> list[str]:
-    """Return a unique name for each job: the file name, with its topic or a number if needed."""
-    names: list[str] = []
-    for job in jobs:
-        path_repeats = sum(other.path == job.path for other in jobs) > 1
-        name = Path(job.path).name + (f' {job.reading.topic}' if path_repeats else '')
-        used_folders, number, unique_name = {folder_name(other) for other in names}, 1, name
-        while folder_name(unique_name) in used_folders:
-            number += 1
-            unique_name = f'{name} {number}'
-        names.append(unique_name)
-    return names
-
-
-def folder_name(name: str) -> str:
-    """Return a name with _ in place of all characters except letters, digits, +, - and _."""
-    return re.sub(r'[^\w+-]+', '_', name)
-
-
 def _batch_document(outcome: Outcome, units: str) -> dict[str, object]:
     if outcome.results is None:
         return {'path': outcome.unit.path, 'name': outcome.unit.name, 'error': outcome.error}
@@ -579,75 +364,3 @@ def _batch_document(outcome: Outcome, units: str) -> dict[str, object]:
     results = result_document(outcome.results, units, curves=False)
     named = {'path': outcome.unit.path, 'name': outcome.unit.name}
     return {**named, 'verdict': verdict, 'results': results}
-
-
-CONNECT_S = 10.0
-"""Longest time in s to wait for a scheduler, and for its first worker."""
-
-
-def on_cluster(
-    jobs: Sequence[ReadJob],
-    address: str,
-    console: Console,
-    work: Callable[[ReadJob], RecordingSums] = read_recording,
-) -> Iterator[RecordingSums | Finding | Exception]:
-    """Run ``work`` for each job on a Dask cluster, and yield its result or its error.
-
-    The workers need this package, and the recordings at the same paths. If a worker crashes, other
-    workers repeat the jobs of that worker. A job fails if it crashes several workers
-    (``distributed.scheduler.allowed-failures``).
-
-    Parameters
-    ----------
-    jobs : sequence of ReadJob
-        The recordings to read.
-    address : str
-        Address of the scheduler, such as tcp://host:8786.
-    console : Console
-        Shows the progress.
-    work : function of a ReadJob
-        Returns the Allan sums of a recording.
-
-    Yields
-    ------
-    RecordingSums, Finding or Exception
-        For each job, in the order of the jobs: its Allan sums, a finding if the job crashed its
-        workers, or the exception that ``work`` raised.
-
-    Raises
-    ------
-    AllanError
-        When Dask is not installed, or no scheduler with workers answers at ``address``.
-    """
-    try:
-        from distributed import Client, KilledWorker
-        from distributed import TimeoutError as Unanswered
-    except ImportError as error:
-        raise AllanError(
-            '--scheduler needs Dask, which is not installed: pip install "allan_ros[dask]"'
-        ) from error
-    try:
-        client = Client(address, timeout=CONNECT_S)
-    except (OSError, ValueError, ImportError) as error:
-        raise AllanError(
-            f'no Dask scheduler answers at {address}: check the address and the scheduler'
-        ) from error
-    with client, console.progress(f'{len(jobs)} on {address}', None) as progress:
-        try:
-            client.wait_for_workers(1, timeout=CONNECT_S)
-        except Unanswered as error:
-            raise AllanError(
-                f'the cluster at {address} has no worker: start workers with allan_ros'
-            ) from error
-        # pure=False, because a recording may have changed since an earlier analysis of this job
-        for job, future in zip(jobs, client.map(work, jobs, pure=False)):
-            try:
-                recorded: RecordingSums = future.result()
-            except KilledWorker:
-                yield finding('recording_lost', path=job.path)
-                continue
-            except Exception as error:  # one recording does not end the others
-                yield error
-                continue
-            progress.advance(recorded.provenance.counts.received)
-            yield recorded

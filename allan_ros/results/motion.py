@@ -174,7 +174,7 @@ def _factors(motion: NoiseInMotion) -> Iterator[Finding]:
             'high': high,
             'drives': len(motion.drives),
         }
-        if not errors.is_worse:
+        if not motion.is_worse(sensor):
             yield finding('motion_as_at_rest', axes, **values)
             continue
         has_cause = explained is not None and (explained.value or 0.0) < EXPLAINED * ratio

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from allan_ros.cli import batch
+from allan_ros.cli import outcomes
 from allan_ros.cli.analyze import recordings_in
 from allan_ros.cli.console import EXIT_FAULT
 from allan_ros.cli.main import main
@@ -94,7 +94,7 @@ def test_a_fault_of_one_recording_does_not_end_the_others(
             raise ZeroDivisionError('a fault\nin two lines')
         return read_recording(job)
 
-    monkeypatch.setattr(batch, 'read_recording', faulty)
+    monkeypatch.setattr(outcomes, 'read_recording', faulty)
     for verb in 'analyze', 'check':
         assert main([verb, str(folder), *QUICK]) == EXIT_FAULT
         first, second, *_ = capsys.readouterr().out.splitlines()

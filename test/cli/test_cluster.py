@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from allan_ros.cli.batch import on_cluster
+from allan_ros.cli.cluster import on_cluster
 from allan_ros.cli.console import Console
 from allan_ros.cli.main import main
 from allan_ros.core.allan.document import sums_to_document
@@ -139,7 +139,7 @@ def test_a_scheduler_that_does_not_answer_is_reported(
     recordings: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pytest.importorskip('distributed')
-    monkeypatch.setattr('allan_ros.cli.batch.CONNECT_S', 0.5)
+    monkeypatch.setattr('allan_ros.cli.cluster.CONNECT_S', 0.5)
     with pytest.raises(AllanError, match='no Dask scheduler answers at tcp://127'):
         list(on_cluster(jobs_of(recordings), 'tcp://127.0.0.1:9', Console()))
 
@@ -148,7 +148,7 @@ def test_a_cluster_without_workers_is_not_waited_for(
     recordings: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     distributed = pytest.importorskip('distributed')
-    monkeypatch.setattr('allan_ros.cli.batch.CONNECT_S', 2.0)
+    monkeypatch.setattr('allan_ros.cli.cluster.CONNECT_S', 2.0)
     with distributed.LocalCluster(
         n_workers=0, processes=False, dashboard_address=None
     ) as empty, pytest.raises(AllanError, match='has no worker: start workers'):  # fmt: skip
