@@ -481,7 +481,7 @@ class Course:
 
     @classmethod
     def of(cls, fault: Fault, at_boot: bool, lasts_s: int | None, seed: int) -> Course:
-        """Simulate a fault from boot or after a random time; it heals after ``lasts_s``, if given."""
+        """Simulate a fault from boot or after a random time; it may heal after ``lasts_s``."""
         rng = np.random.default_rng([seed, at_boot, lasts_s or 0])
         begin_s = 0.0 if at_boot else BEGIN_S + round(PHASE_S * rng.random(), 2)
         end_s = begin_s + (lasts_s or LASTING_S)
