@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Prepares the samples of a stream: chooses their stamps, sorts them, and excludes unusable ones.
+"""Prepares the samples of a stream: chooses stamps, sorts samples, and excludes unusable samples.
 
 Duplicates, samples that are not finite, samples with backward stamps, and samples of a time that
 earlier samples cover are excluded. Samples that a driver repeats at random are interpolated.
@@ -34,9 +34,9 @@ BACKWARD_RUN = 16
 set back. Fewer such samples are excluded."""
 
 JUMP_DISTANCE = 4096
-"""Each time that the clock is set back within this number of samples after the last such event, the
-number of consecutive earlier stamps from which the clock counts as set back is doubled. Otherwise,
-stamps in random order would split the data again and again."""
+"""The number of earlier stamps that shows that the clock was set back, at first `BACKWARD_RUN`, is
+doubled each time that the clock is set back again within `JUMP_DISTANCE` samples. Without this
+doubling, stamps in random order would split the data again and again."""
 
 REORDER = 32
 """Largest number of places by which sorting moves a sample that arrived out of order."""
@@ -46,7 +46,7 @@ DISORDERED_SHARE = 0.25
 `REORDER` places, the stamps are not used."""
 
 STAMP_EPOCH_S = (1e9, 4e9)
-"""Range of plausible present times, in s since 1970: the years 2001 to 2096."""
+"""Range of plausible stamps in s since 1970: the years 2001 to 2096."""
 
 SLOWEST_S = 0.1
 """Longest sample period, in s, for which the unit of the stamps is recognized."""
@@ -56,14 +56,17 @@ NEAR_NS = NANOSECONDS
 """Longest time between two consecutive stamps, in ns, that counts as covered by samples."""
 
 NEVER_NS = -(2**62)
-"""A stamp before all others."""
+"""A stamp in ns that is earlier than the stamp of any sample."""
 
 MOST_COVERED = 256
-"""Largest number of stretches of covered time that are remembered; the oldest are forgotten."""
+"""Largest number of covered stretches of time that are stored; the oldest are removed first."""
 
 
 def unit_of_stamps(stamps: Stamps) -> str:
-    """Return the unit of stamps, (n,): 'us' or 'ms' if they are present times in it, else 'ns'.
+    """Return the unit of integer stamps, (n,): 'us', 'ms' or 'ns'.
+
+    It is 'us' or 'ms' if the stamps are in the range `STAMP_EPOCH_S` in this unit and their median
+    step is at most `SLOWEST_S`. Otherwise, it is 'ns'.
 
     >>> import numpy as np
     >>> unit_of_stamps(1_700_000_000_000_000 + 5000 * np.arange(9))
@@ -71,9 +74,9 @@ def unit_of_stamps(stamps: Stamps) -> str:
     """
     step = np.median(np.abs(np.diff(stamps))) if len(stamps) > 1 else 0
     for unit in ('us', 'ms'):
-        second = NANOSECONDS // STAMP_UNITS[unit]
-        low, high = (limit * second for limit in STAMP_EPOCH_S)
-        if low <= stamps.min() and stamps.max() < high and 0 < step <= SLOWEST_S * second:
+        ticks_per_second = NANOSECONDS // STAMP_UNITS[unit]
+        low, high = (limit * ticks_per_second for limit in STAMP_EPOCH_S)
+        if low <= stamps.min() and stamps.max() < high and 0 < step <= SLOWEST_S * ticks_per_second:
             return unit
     return 'ns'
 
@@ -84,8 +87,8 @@ class StampChoice:
     def __init__(self, use_record: bool, declared_rate: float) -> None:
         self.use_record = self._is_record_wanted = use_record
         self._rate = declared_rate
-        self._unit = 1  # unit of the stamps, in ns
-        self._unusable = False  # whether the stamps are in no order
+        self._unit = 1  # size of the unit of the stamps in ns
+        self._unusable = False  # whether the stamps are too disordered to be sorted
         # number of samples whose stamps were computed from the rate; None if the rate is not used
         self._computed: int | None = None
 
@@ -96,10 +99,10 @@ class StampChoice:
         if self.use_record:
             return []
         self._unit, self._unusable = 1, False
-        equal_stamps = (
+        fault_of_equal_stamps = (
             'all equal' if len(stamps) < 2 or stamps.min() == stamps.max() else 'mostly equal'
         )
-        fault = equal_stamps if stamps.any() else 'all zero'
+        fault = fault_of_equal_stamps if stamps.any() else 'all zero'
         if len(stamps) < 2 or has_time(np.sort(stamps)):
             if are_ordered(first):
                 unit = unit_of_stamps(stamps)
@@ -123,27 +126,30 @@ class StampChoice:
             stamps = even_stamps(self._computed, len(batch), self._rate)
             self._computed += len(batch)
         elif self._unusable:
-            stamps = np.zeros_like(stamps)  # `SampleClock` counts them as untimed
+            stamps = np.zeros_like(stamps)  # `SampleClock` counts samples at time 0 as untimed
         elif self._unit > 1:
             stamps = stamps * self._unit
         return ImuBatch(stamps, batch.samples)
 
 
 class StampSorter:
-    """Sorts samples that arrive slightly out of order, as over UDP or from several threads.
+    """Sorts samples that arrive slightly out of order, for example over UDP.
 
     Windows of 2 * `REORDER` samples, which overlap by half, are sorted. A window with a sample that
     is delayed by more than `REORDER` sample periods is not sorted, because the clock was set back
-    in it, or there are two clocks. ``sorted`` is the number of samples that arrived late.
+    within the window, or the stamps come from two clocks. ``sorted`` is the number of samples that
+    arrived late.
     """
 
     def __init__(self, stamps: Stamps = np.empty(0, np.int64)) -> None:
         """Learn the sample period from the first stamps, (n,), in ns."""
         self.sorted = 0
         places = min(len(stamps) - 1, REORDER)
-        ordered = np.sort(stamps)
-        # largest delay of a sample that is sorted
-        self._longest_ns = np.median(ordered[places:] - ordered[:-places]) if places > 0 else 0.0
+        sorted_stamps = np.sort(stamps)
+        # longest delay, in ns, for which a sample is sorted
+        self._longest_ns = (
+            np.median(sorted_stamps[places:] - sorted_stamps[:-places]) if places > 0 else 0.0
+        )
         self._pending = ImuBatch.empty(len(AXES))
         self._latest: int | None = None  # stamp of the last sample that was returned
 
@@ -159,7 +165,7 @@ class StampSorter:
 
     @classmethod
     def all_sorted(cls, samples: ImuBatch) -> ImuBatch:
-        """Return samples, sorted as by `feed` and `flush`."""
+        """Return the sorted samples of a complete input."""
         sorter = cls(samples.stamps_ns)
         return joined([sorter.feed(samples), sorter.flush()])
 
@@ -169,24 +175,27 @@ class StampSorter:
         if number < 1:
             return self._pending.part(slice(0))
         latest = int(stamps[0]) if self._latest is None else self._latest
-        in_order = stamps[0] >= latest and (stamps[1:] >= stamps[:-1]).all()
-        for at in range(0, 0 if in_order else number, REORDER):
-            window = stamps[at : at + 2 * REORDER]
+        is_sorted = stamps[0] >= latest and (stamps[1:] >= stamps[:-1]).all()
+        for begin in range(0, 0 if is_sorted else number, REORDER):
+            window = stamps[begin : begin + 2 * REORDER]
             delay = np.maximum(np.maximum.accumulate(window), latest) - window
             if delay.any() and delay.max() <= self._longest_ns:
-                order = at + np.argsort(window, kind='stable')
+                order = begin + np.argsort(window, kind='stable')
                 self.sorted += int(np.count_nonzero(delay))
-                stamps[at : at + len(order)] = stamps[order]
-                rows[:, at : at + len(order)] = rows[:, order]
-            latest = int(stamps[min(at + REORDER, len(stamps)) - 1])
-        self._latest = int(stamps[number - 1]) if in_order else latest
-        out = self._pending.part(slice(number))
+                stamps[begin : begin + len(order)] = stamps[order]
+                rows[:, begin : begin + len(order)] = rows[:, order]
+            latest = int(stamps[min(begin + REORDER, len(stamps)) - 1])
+        self._latest = int(stamps[number - 1]) if is_sorted else latest
+        taken = self._pending.part(slice(number))
         self._pending = self._pending.part(slice(number, None)).copy()
-        return out
+        return taken
 
 
 def are_ordered(samples: ImuBatch) -> bool:
-    """Return whether stamps advance, and few are earlier than the previous stamp after sorting.
+    """Return whether the stamps of samples advance and are in order after sorting.
+
+    `StampSorter` sorts the samples. Then at most `DISORDERED_SHARE` of the stamps may be earlier
+    than the previous stamp.
 
     >>> import numpy as np
     >>> stamps = np.arange(100) * 10**7
@@ -203,27 +212,28 @@ def are_ordered(samples: ImuBatch) -> bool:
 class CoveredTime:
     """Excludes samples whose time is already covered, as when a recording is played again.
 
-    ``covered`` are stretches of time that are covered before the first sample: (first, last) stamp
-    in ns. Each sample covers the time from the previous stamp to its own, if that is at most
-    `NEAR_NS`. Consecutive samples with equal stamps are all kept. ``dropped`` is the number of
-    excluded samples.
+    ``covered`` lists the stretches of time that earlier data cover: (first, last) stamp in ns. Each
+    sample covers the time since the previous stamp, if this time is at most `NEAR_NS`. Consecutive
+    samples with equal stamps are all kept. ``dropped`` is the number of excluded samples.
     """
 
     def __init__(self, covered: Sequence[tuple[int, int]] = ()) -> None:
         self.dropped = 0
         self._stretches = [[first, last] for first, last in covered]
-        self._present = [NEVER_NS, NEVER_NS]  # the stretch of the latest sample
+        self._present = [NEVER_NS, NEVER_NS]  # the covered stretch that contains the latest sample
         self._was_new = False  # whether the latest sample was kept
 
     def feed(self, samples: ImuBatch) -> ImuBatch:
-        """Return the samples of times that are not covered."""
+        """Return the samples whose time is not covered yet; it is covered afterwards."""
         stamps = samples.stamps_ns
         if not len(stamps):
             return samples
         first, last, present = int(stamps[0]), int(stamps[-1]), self._present
         steps = np.diff(stamps, prepend=present[1])
-        ahead = steps[0] >= (not self._was_new) and steps.min() >= 0 and steps.max() <= NEAR_NS
-        if ahead and not any(first <= begin <= last for begin, _ in self._stretches):
+        continues_stretch = (
+            steps[0] >= (not self._was_new) and steps.min() >= 0 and steps.max() <= NEAR_NS
+        )
+        if continues_stretch and not any(first <= begin <= last for begin, _ in self._stretches):
             present[1], self._was_new = last, True
             return samples
         is_new = np.fromiter(map(self._is_new, stamps.tolist()), bool, len(stamps))
@@ -248,28 +258,28 @@ class CoveredTime:
 class SampleFilter:
     """Selects the axes of a sensor stream, and excludes samples that cannot be used.
 
-    Excluded are the samples that the plan drops, samples that are not finite, duplicates, and
-    samples with backward stamps. A duplicate has the stamp and the values of the previous sample.
-    Where the stamps of the kept samples decrease, the clock was set back. ``counts`` is changed in
-    place.
+    Samples that ``plan.drop`` names, samples that are not finite, duplicates, and samples with
+    backward stamps are excluded. A duplicate has the stamp and the values of the previous sample.
+    The stamps of the remaining samples decrease only where the clock was set back. ``counts`` is
+    updated in place.
     """
 
     def __init__(self, plan: SensorPlan, counts: Counts) -> None:
         self._drop = plan.drop
         self._axes = [AXES.index(axis) for axis in plan.axes]
-        # values of the last sample that was received
+        # values of the last sample, before samples that repeat it are excluded
         self._measured: Floats = np.full(len(self._axes), np.nan)
         self._counts = counts
         self._latest: int | None = None  # stamp of the last sample that was returned
         self._last = 0, self._measured  # stamp and values of the last finite sample
         self._backward = 0  # number of consecutive samples with earlier stamps
-        # value of `_backward` from which the clock was set back; larger after a recent such event
+        # value of `_backward` that shows that the clock was set back (see `JUMP_DISTANCE`)
         self._needed = BACKWARD_RUN
         self._position = 0  # number of finite samples so far
         self._last_jump = 0  # value of `_position` when the clock was last set back
 
     def feed(self, samples: ImuBatch) -> ImuBatch:
-        """Process the next samples of the six-axis stream, and return those that are kept."""
+        """Return the usable samples of a batch of six axes, with the axes of the plan."""
         if len(self._axes) < len(AXES):
             samples = ImuBatch.of_rows(samples.stamps_ns, samples.rows[self._axes])
         if self._drop == 'zero':
@@ -277,13 +287,13 @@ class SampleFilter:
         elif self._drop and len(samples):
             rows, last_values = samples.rows, self._measured
             self._measured = rows[:, -1].copy()
-            changed = rows != np.column_stack([last_values, rows[:, :-1]])
-            samples = samples.part(np.asarray(changed.any(axis=0)))
+            has_changed = rows != np.column_stack([last_values, rows[:, :-1]])
+            samples = samples.part(np.asarray(has_changed.any(axis=0)))
         rows = samples.rows
         if len(samples) and not (rows.max() <= LARGEST and rows.min() >= -LARGEST):
-            finite = np.asarray((np.abs(rows) <= LARGEST).all(axis=0))
-            self._counts.not_finite += int(np.count_nonzero(~finite))
-            samples = samples.part(finite)
+            is_finite = np.asarray((np.abs(rows) <= LARGEST).all(axis=0))
+            self._counts.not_finite += int(np.count_nonzero(~is_finite))
+            samples = samples.part(is_finite)
         if not len(samples):
             return samples
         stamps, number = samples.stamps_ns, len(samples)
@@ -297,29 +307,29 @@ class SampleFilter:
         return samples
 
     def _select(self, samples: ImuBatch) -> Flags:
-        """Return which samples to keep, (n,); their stamps may repeat or decrease."""
+        """Return which samples are kept, (n,), if some stamps repeat or decrease."""
         stamps, rows = samples.stamps_ns, samples.rows
-        stamp, row = self._last
-        repeats_values = (rows == np.column_stack([row, rows[:, :-1]])).all(axis=0)
-        is_duplicate = repeats_values & (np.diff(stamps, prepend=stamp) == 0)
+        last_stamp, last_values = self._last
+        repeats_values = (rows == np.column_stack([last_values, rows[:, :-1]])).all(axis=0)
+        is_duplicate = repeats_values & (np.diff(stamps, prepend=last_stamp) == 0)
         self._counts.duplicate += int(np.count_nonzero(is_duplicate))
-        keep = np.asarray(~is_duplicate)
+        is_kept = np.asarray(~is_duplicate)
         latest = stamps[0] if self._latest is None else self._latest
-        for i in np.flatnonzero(keep):
+        for i in np.flatnonzero(is_kept):
             if stamps[i] < latest:
                 self._backward += 1
                 if self._backward < self._needed:
-                    keep[i] = False
+                    is_kept[i] = False
                     self._counts.backward += 1
                     continue
                 self._counts.splits['clock jump'] += 1
                 position = self._position + int(i)
-                recently = position - self._last_jump < JUMP_DISTANCE
-                self._needed = 2 * self._needed if recently else BACKWARD_RUN
+                is_recent = position - self._last_jump < JUMP_DISTANCE
+                self._needed = 2 * self._needed if is_recent else BACKWARD_RUN
                 self._last_jump = position
             self._backward = 0
             latest = stamps[i]
-        return keep
+        return is_kept
 
 
 LONGEST_REPEAT = 16
@@ -330,57 +340,62 @@ sample more often may be stuck."""
 class RepeatFilter:
     """Interpolates samples that repeat the previous sample, in evenly spaced blocks.
 
-    ``groups`` are groups of axes, each a list of indices. A sample that equals the previous one on
-    all axes of a group is interpolated on these axes. The last `LONGEST_REPEAT` samples are
-    buffered until more samples follow or the segment ends.
+    ``groups`` are lists of indices of axes. A sample that equals the previous sample on all axes of
+    a group is interpolated on these axes. The last `LONGEST_REPEAT` samples are buffered until more
+    samples follow or the segment ends.
     """
 
     def __init__(self, groups: list[list[int]], axes: int) -> None:
         self._groups = groups
         self._empty = self._samples = ImuBatch.empty(axes)
-        self._past = 0  # number of buffered samples that were already returned
+        self._returned = 0  # number of buffered samples that were already returned
 
     def feed(self, blocks: list[ImuBatch]) -> list[ImuBatch]:
         """Add blocks, and return the samples whose interpolation is complete."""
-        out: list[ImuBatch] = []
+        complete_blocks: list[ImuBatch] = []
         for block in filter(len, blocks):
-            out += self.flush() if block.cut else []
+            complete_blocks += self.flush() if block.cut else []
             self._samples = joined([self._samples, block])
-            out += self._take(LONGEST_REPEAT)
-        return out
+            complete_blocks += self._take(LONGEST_REPEAT)
+        return complete_blocks
 
     def flush(self) -> list[ImuBatch]:
-        """Return the buffered samples at the end of a segment; its last repeats are unchanged."""
-        out = self._take(0)
-        self._samples, self._past = self._empty, 0
-        return out
+        """Return the buffered samples at the end of a segment; repeats at the end are unchanged."""
+        blocks = self._take(0)
+        self._samples, self._returned = self._empty, 0
+        return blocks
 
     def _take(self, look_ahead: int) -> list[ImuBatch]:
-        """Return new samples except the last ``look_ahead``; repeated samples are interpolated."""
-        buffered, begin = self._samples, self._past
+        """Return the next samples except the last ``look_ahead``, with interpolated repeats."""
+        buffered, begin = self._samples, self._returned
         n, end = len(buffered), len(buffered) - look_ahead
         if end <= begin:
             return []
         rows, index = buffered.rows.copy(), np.arange(n)
-        levels = (
+        filled = (
             np.zeros(rows.shape, np.int32) if buffered.filled is None else buffered.filled.copy()
         )
         for group in self._groups:
-            repeated = np.zeros(n, bool)
-            repeated[1:] = (buffered.rows[group, 1:] == buffered.rows[group, :-1]).all(axis=0)
-            last_new = np.maximum.accumulate(np.where(repeated, -1, index))
-            next_new = np.minimum.accumulate(np.where(repeated, n, index)[::-1])[::-1]
+            is_repeated = np.zeros(n, bool)
+            is_repeated[1:] = (buffered.rows[group, 1:] == buffered.rows[group, :-1]).all(axis=0)
+            last_new = np.maximum.accumulate(np.where(is_repeated, -1, index))
+            next_new = np.minimum.accumulate(np.where(is_repeated, n, index)[::-1])[::-1]
             replaced_at = np.flatnonzero(
-                repeated & (next_new < n) & (next_new - last_new <= LONGEST_REPEAT + 1)
+                is_repeated & (next_new < n) & (next_new - last_new <= LONGEST_REPEAT + 1)
             )
-            before, after = last_new[replaced_at], next_new[replaced_at]
-            fraction = (replaced_at - before) / (after - before)
+            index_before, index_after = last_new[replaced_at], next_new[replaced_at]
+            fraction = (replaced_at - index_before) / (index_after - index_before)
             for axis in group:
-                first = buffered.rows[axis, before]
-                rows[axis, replaced_at] = first + fraction * (buffered.rows[axis, after] - first)
-                levels[axis, replaced_at] = 1
-        done = ImuBatch.of_rows(buffered.stamps_ns, rows, filled=levels if levels.any() else None)
-        # repeats that begin before these samples are too many to be interpolated
+                value_before = buffered.rows[axis, index_before]
+                rows[axis, replaced_at] = value_before + fraction * (
+                    buffered.rows[axis, index_after] - value_before
+                )
+                filled[axis, replaced_at] = 1
+        interpolated = ImuBatch.of_rows(
+            buffered.stamps_ns, rows, filled=filled if filled.any() else None
+        )
+        # a repeat that begins before these samples is too long to be interpolated
         first_kept = max(0, end - LONGEST_REPEAT - 1)
-        self._samples, self._past = buffered.part(slice(first_kept, None)).copy(), end - first_kept
-        return [done.part(slice(begin, end), buffered.cut if begin == 0 else '')]
+        self._samples = buffered.part(slice(first_kept, None)).copy()
+        self._returned = end - first_kept
+        return [interpolated.part(slice(begin, end), buffered.cut if begin == 0 else '')]

@@ -18,25 +18,25 @@ from .drives import REST_S, Drive, DriveErrors, Rest, drive_errors
 
 LEAST_STOP_S = 1.0
 """Shortest duration in s of a rest before or after a drive. The mean of the gyro over a rest of 1 s
-has an error of N / sqrt(1 s). In a drive of 30 s, this causes an angle error of 30 s times
-N / sqrt(1 s), five times the angle error due to the noise during the drive."""
+has an error of N / sqrt(1 s). In a drive of 30 s, this error causes an angle error of 30 s times
+N / sqrt(1 s), five times the angle error due to the white noise during the drive."""
 
 LEAST_DRIVE_S, LONGEST_DRIVE_S = 2.0, 180.0
-"""Shortest and longest duration in s of a drive that is used. The errors of a longer drive are not
-small any more, and a state estimator then uses other sensors as well."""
+"""Shortest and longest duration in s of a drive that is used. In a longer drive, the errors are no
+longer small, and a state estimator also uses other sensors."""
 
 LONGEST_AHEAD_S = 60.0
 """Longest time in s until motion detection confirms that samples are at rest. A drive is too long
-if more samples than `LONGEST_DRIVE_S` plus this time follow the last sample at rest."""
+if the time since the last sample at rest exceeds `LONGEST_DRIVE_S` plus this time."""
 
 MOST_RATE = 200.0
 """Samples are averaged down to at most this rate in Hz before the integration."""
 
 MOST_KEPT = 1 << 20
-"""Largest number of buffered samples of a drive, and of a rest: 48 MB each."""
+"""Largest number of buffered samples of a drive, and of a rest: 48 MiB each."""
 
 MOST_DRIVES = 60
-"""Number of the latest drives that are kept, about 60 kB each."""
+"""Largest number of drives whose errors are stored, about 60 kB each; the oldest are removed."""
 
 Unused = Literal['short', 'long', 'gap', 'short_rest']
 """Why a drive is not used: the drive is too short or too long, samples of it are missing, or one of
@@ -44,10 +44,10 @@ its rests is shorter than `LEAST_STOP_S`."""
 
 
 class Drives(NamedTuple):
-    """Drives of a stream.
+    """Errors of the latest drives of a stream, and numbers of drives that are not used.
 
-    ``errors`` are the errors of the latest used drives. ``unused`` maps each reason for which
-    drives are not used to their number.
+    ``errors`` contains the errors of up to `MOST_DRIVES` drives. ``unused`` maps each reason for
+    which drives are not used to the number of these drives.
     """
 
     errors: tuple[DriveErrors, ...] = ()
@@ -84,7 +84,8 @@ class DriveRecorder:
         self._most = min(round((LONGEST_DRIVE_S + LONGEST_AHEAD_S) / tau0), MOST_KEPT)
         self._rest_samples = max(min(round(REST_S / tau0), MOST_KEPT), 1)
         self._raw: deque[ImuBatch] = deque()  # all samples after the last sample at rest
-        self._is_long = False  # whether samples were discarded, because a drive is too long
+        # whether the drive is too long, so that its first samples are removed
+        self._is_long = False
         self._at_rest = 0  # number of samples of the present rest
         self._first: list[Floats] = []  # the first samples of the present rest
         self._last: deque[Floats] = deque()  # the last samples of the present rest
@@ -100,7 +101,7 @@ class DriveRecorder:
         return other
 
     def add_samples(self, blocks: Iterable[ImuBatch]) -> None:
-        """Add the next evenly spaced samples, whether at rest or not."""
+        """Add the next evenly spaced samples, at rest or in motion."""
         self._raw.extend(block for block in blocks if len(block))
 
     def add_rests(self, blocks: Iterable[ImuBatch]) -> None:
@@ -111,9 +112,9 @@ class DriveRecorder:
             if block.cut or not self._at_rest:
                 self._begin_rest(block)
             self._continue_rest(block)
-        left = sum(map(len, self._raw))
-        while left > self._most:
-            left -= len(self._raw.popleft())
+        number_buffered = sum(map(len, self._raw))
+        while number_buffered > self._most:
+            number_buffered -= len(self._raw.popleft())
             self._is_long = True
 
     @property
@@ -126,11 +127,11 @@ class DriveRecorder:
         """The drives as if the input ended here."""
         drives, unused = tuple(self._drives), Counter(self._unused)
         if self._drive is not None:
-            after = self._mean(self._first)
-            if after is None:
+            second_rest = self._mean(self._first)
+            if second_rest is None:
                 unused['short_rest'] += 1
             else:
-                drives = (*drives, self._errors(self._drive, after))[-MOST_DRIVES:]
+                drives = (*drives, self._errors(self._drive, second_rest))[-MOST_DRIVES:]
         return Drives(drives, unused)
 
     def _begin_rest(self, block: ImuBatch) -> None:
@@ -162,14 +163,14 @@ class DriveRecorder:
 
     def _continue_rest(self, block: ImuBatch) -> None:
         self._samples_before(int(block.stamps_ns[-1]) + 1)
-        room = self._rest_samples - self._at_rest
-        if room > 0:
-            self._first.append(block.samples[:room].copy())
+        number_missing = self._rest_samples - self._at_rest
+        if number_missing > 0:
+            self._first.append(block.samples[:number_missing].copy())
         self._at_rest += len(block)
         self._last.append(block.samples[-self._rest_samples :].copy())
         while sum(map(len, self._last)) - len(self._last[0]) >= self._rest_samples:
             self._last.popleft()
-        if room > 0 and self._at_rest >= self._rest_samples:
+        if number_missing > 0 and self._at_rest >= self._rest_samples:
             self._complete()
 
     def _complete(self) -> None:
@@ -177,21 +178,22 @@ class DriveRecorder:
         if self._drive is None:
             return
         drive, self._drive = self._drive, None
-        after = self._mean(self._first)
-        if after is None:
+        second_rest = self._mean(self._first)
+        if second_rest is None:
             self._unused['short_rest'] += 1
             return
-        self._drives.append(self._errors(drive, after))
+        self._drives.append(self._errors(drive, second_rest))
         self._follows = True
 
-    def _errors(self, pending: _Pending, after: Rest) -> DriveErrors:
+    def _errors(self, pending: _Pending, second_rest: Rest) -> DriveErrors:
         """Return the errors of a drive, from means of samples at `MOST_RATE` or less."""
         rows, k = pending.rows, max(math.ceil(1.0 / (self._tau0 * MOST_RATE) - 1e-9), 1)
-        whole = len(rows) // k * k  # the few remaining samples are in the margin before the rest
-        means = rows[:whole].reshape(-1, k, len(AXES)).mean(axis=1)
+        # up to k - 1 samples are omitted; they are in the margin that motion detection adds
+        averaged = len(rows) // k * k
+        means = rows[:averaged].reshape(-1, k, len(AXES)).mean(axis=1)
         gyro, accel, tau0 = means[:, :3], means[:, 3:], k * self._tau0
         before, follows = pending.before, pending.follows
-        return drive_errors(Drive(pending.start, tau0, gyro, accel, before, after, follows))
+        return drive_errors(Drive(pending.start, tau0, gyro, accel, before, second_rest, follows))
 
     def _mean(self, parts: Iterable[Floats], latest: bool = False) -> Rest | None:
         """Return the means of samples of a rest, or None if the rest is too short.
@@ -208,13 +210,13 @@ class DriveRecorder:
 
     def _samples_before(self, stamp: int) -> tuple[Floats, bool]:
         """Remove the samples before a stamp; return them, (n, 6), and whether they have a gap."""
-        taken, is_split = [], False
+        parts, is_split = [], False
         while self._raw and self._raw[0].stamps_ns[0] < stamp:
             block = self._raw.popleft()
             number = int(np.searchsorted(block.stamps_ns, stamp))
             is_split |= bool(block.cut)
-            taken.append(block.samples[:number])
+            parts.append(block.samples[:number])
             if number < len(block):
                 self._raw.appendleft(block.part(slice(number, None)))
-        rows = np.concatenate(taken) if taken else np.empty((0, len(AXES)))
+        rows = np.concatenate(parts) if parts else np.empty((0, len(AXES)))
         return rows, is_split

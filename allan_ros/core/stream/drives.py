@@ -7,9 +7,9 @@ Gyro and accelerometer are integrated from one rest to the next. At the second r
 
 Notation
 --------
-C(t) rotates from the sensor at time t to the sensor at the first rest. It is integrated from the
-rates w minus their mean at the first rest. f are the specific forces, f1 and f2 their means at the
-two rests, and T is the duration of the drive. The residuals of a drive are
+C(t) rotates vectors from the axes of the sensor at time t to its axes at the first rest. It is
+integrated from the angular rates w minus their mean at the first rest. f is the specific force, f1
+and f2 are its means at the two rests, and T is the duration of the drive. The residuals are
 
     rotation:  C(T) f2 - f1                      (0 without errors: gravity is the same)
     velocity:  integral of C(t) f(t) dt - f1 T   (0 without errors: the velocity is 0 at both rests)
@@ -36,7 +36,7 @@ EARTH_RATE = 7.292115e-5
 """Rotation rate of the Earth in rad/s (WGS 84). Its direction relative to the sensor is unknown."""
 
 REST_S = 30.0
-"""Longest duration in s of the part of a rest, next to a drive, that is averaged."""
+"""Longest time in s next to a drive over which the samples of a rest are averaged."""
 
 ROWS = 9
 ROTATION, VELOCITY, RATE = slice(0, 3), slice(3, 6), slice(6, 9)
@@ -48,14 +48,14 @@ noise."""
 
 
 SlowNoise = Callable[[float, ArrayLike], Floats]
-"""Function (M, j) -> array that returns the autocovariance of the means of consecutive blocks of M
-s, at a lag of j blocks. It is in the squared unit of the samples, up to a constant that is the same
-for all M."""
+"""Function (M, j) -> array: the autocovariance of the means of consecutive blocks of M seconds at a
+lag of j blocks, in the squared unit of the samples. It may lack a constant that is the same for all
+M."""
 
 
 @dataclass(frozen=True)
 class Rest:
-    """Means of the samples next to a drive at one of its rests.
+    """Means of the samples at rest directly before or after a drive.
 
     Attributes
     ----------
@@ -72,7 +72,7 @@ class Rest:
 
 @dataclass(frozen=True)
 class Drive:
-    """Samples between two rests.
+    """Samples of a drive between two rests, and the means at the rests.
 
     Attributes
     ----------
@@ -104,18 +104,17 @@ class Drive:
 
 @dataclass(frozen=True)
 class DriveErrors:
-    """Residuals of one drive and the effect of everything that may have caused them.
+    """Residuals of one drive, and the effect of each error that may have caused them.
 
     The nine residuals are the vectors rotation, velocity and rate of the module text. The effect of
-    an error with k components is a (9, k) array: residuals per unit of each component. The samples
-    are not kept.
+    an error with k components is a (9, k) array: residuals per unit of each component.
 
     Attributes
     ----------
     start, duration : float
         As in `Drive`, in s.
     turned : float
-        Angle by which the sensor turned, summed over the drive, in rad.
+        Integral of the magnitude of the angular rate over the drive, in rad.
     follows : bool
         Whether the previous drive ended at the first rest.
     force, end : (3,) array, (3, 3) array
@@ -126,8 +125,8 @@ class DriveErrors:
         Covariance of the residuals due to white noise with N = 1 of each axis, during the drive and
         at the rests.
     slow : (blocks, 9, 6) array
-        Residuals per unit of the mean error of each axis in each block. For each axis, they sum to
-        0 over the blocks, because ``accel_bias`` has the effect of a constant bias.
+        Residuals per unit of the mean error of each axis in each block. The sum over the blocks is
+        0 for each axis, because ``accel_bias`` contains the effect of a constant bias.
     block : float
         Duration of a block of ``slow`` in s.
     accel_bias : (9, 3) array
@@ -159,28 +158,28 @@ class DriveErrors:
     earth: Floats
 
     def white_covariances(self, density: Sequence[float]) -> dict[str, Floats]:
-        """Return the covariances of the residuals, (9, 9), due to white noise.
+        """Return the covariances of the residuals due to white noise, (9, 9), for each cause.
 
         The keys are 'gyro' and 'accel' for the noise of each sensor during the drive, and 'rests'
-        for the noise of both sensors at the rests. ``density`` has the N of the six axes in SI.
+        for the noise of both sensors at the rests. ``density`` contains N of the six axes in SI.
         """
         squares = np.square(density)[:, None, None]
-        during = squares * self.white
+        drive_covariances = squares * self.white
         return {
-            'gyro': during[:3].sum(axis=0),
-            'accel': during[3:].sum(axis=0),
+            'gyro': drive_covariances[:3].sum(axis=0),
+            'accel': drive_covariances[3:].sum(axis=0),
             'rests': (squares * self.rests).sum(axis=0),
         }
 
     def slow_covariance(self, axis: int, slow: SlowNoise) -> Floats:
         """Return the covariance of the residuals, (9, 9), due to the noise ``slow`` of one axis."""
         lags = np.arange(len(self.slow))
-        weights, gamma = self.slow[:, :, axis], np.asarray(slow(self.block, lags))
-        return np.asarray(weights.T @ gamma[np.abs(lags[:, None] - lags)] @ weights)
+        weights, autocovariance = self.slow[:, :, axis], np.asarray(slow(self.block, lags))
+        return np.asarray(weights.T @ autocovariance[np.abs(lags[:, None] - lags)] @ weights)
 
 
 def drive_errors(drive: Drive) -> DriveErrors:
-    """Return the residuals of a drive and the effect of everything that may cause them.
+    """Return the residuals of a drive, and the effect of each error that may have caused them.
 
     All effects are of first order in the errors.
 
@@ -208,7 +207,7 @@ def drive_errors(drive: Drive) -> DriveErrors:
     True
     """
     rates, force, dt = drive.gyro - drive.before.gyro, drive.accel, drive.tau0
-    n, total = len(rates), drive.duration
+    n, duration = len(rates), drive.duration
     rotations_after = _cumulative_products(rotation_matrices(rates * dt))
     half_rotations = rotation_matrices(rates * (dt / 2.0))
     # C at the middle of each sample
@@ -220,13 +219,13 @@ def drive_errors(drive: Drive) -> DriveErrors:
     residual = np.concatenate(
         [
             last_rotation @ last_force - first_force,
-            velocity[-1] - first_force * total,
+            velocity[-1] - first_force * duration,
             drive.after.gyro - drive.before.gyro,
         ]
     )
 
-    # weights are residuals per unit of an error: of each sample, and of the means at both rests;
-    # the mean of the gyro at the first rest is subtracted from the samples of the gyro
+    # a weight is a residual per unit of an error: of a sample, or of the mean at a rest; the mean
+    # of the gyro at the first rest is subtracted from the samples of the gyro
     sample_weights = np.zeros((n, ROWS, 6))
     remaining_velocity = velocity[-1] - velocity + rotated_force * (dt / 2.0)
     sample_weights[:, ROTATION, :3] = -(cross_matrices(last_rotation @ last_force) @ rotations) * dt
@@ -236,16 +235,16 @@ def drive_errors(drive: Drive) -> DriveErrors:
     first_weights, last_weights = np.zeros((ROWS, 6)), np.zeros((ROWS, 6))
     last_weights[ROTATION, 3:], last_weights[RATE, :3] = last_rotation, np.eye(3)
     first_weights[:, :3] = -gyro_weights.sum(axis=0) - last_weights[:, :3]
-    first_weights[ROTATION, 3:], first_weights[VELOCITY, 3:] = -np.eye(3), -total * np.eye(3)
+    first_weights[ROTATION, 3:], first_weights[VELOCITY, 3:] = -np.eye(3), -duration * np.eye(3)
 
     accel_bias = accel_weights.sum(axis=0) + first_weights[:, 3:] + last_weights[:, 3:]
-    # weights of the errors relative to the error of the mean at the first rest
+    # weights for changes of the errors since the first rest, without the effect of a constant bias
     change_weights = first_weights.copy()
     change_weights[:, 3:] -= accel_bias
     blocks = _Blocks.of(drive)
     return DriveErrors(
         start=drive.start,
-        duration=total,
+        duration=duration,
         turned=float(np.linalg.norm(rates, axis=1).sum() * dt),
         follows=drive.follows,
         force=first_force,
@@ -275,9 +274,13 @@ def drive_errors(drive: Drive) -> DriveErrors:
 
 def cross_matrices(v: Floats) -> Floats:
     """Return the matrices [v]x of vectors v, (..., 3), with [v]x a = v x a; (..., 3, 3)."""
-    out = np.zeros((*v.shape[:-1], 3, 3))
-    out[..., 0, 1], out[..., 0, 2], out[..., 1, 2] = -v[..., 2], v[..., 1], -v[..., 0]
-    return np.asarray(out - np.swapaxes(out, -1, -2))
+    matrices = np.zeros((*v.shape[:-1], 3, 3))
+    matrices[..., 0, 1], matrices[..., 0, 2], matrices[..., 1, 2] = (
+        -v[..., 2],
+        v[..., 1],
+        -v[..., 0],
+    )
+    return np.asarray(matrices - np.swapaxes(matrices, -1, -2))
 
 
 def rotation_matrices(v: Floats) -> Floats:
@@ -292,12 +295,15 @@ def rotation_matrices(v: Floats) -> Floats:
 
 
 def _cumulative_products(matrices: Floats) -> Floats:
-    """Return the product of the first k + 1 matrices for each k, (n, 3, 3), in log2(n) steps."""
-    out, step = matrices.copy(), 1
-    while step < len(out):
-        out[step:] = out[:-step] @ out[step:]
-        step *= 2
-    return out
+    """Return the product of the first k + 1 of n matrices for each k, (n, 3, 3).
+
+    The products are computed in log2(n) steps.
+    """
+    products, stride = matrices.copy(), 1
+    while stride < len(products):
+        products[stride:] = products[:-stride] @ products[stride:]
+        stride *= 2
+    return products
 
 
 class _Blocks(NamedTuple):
@@ -305,21 +311,21 @@ class _Blocks(NamedTuple):
 
     duration: float  # duration of a block in s
     number: int  # number of blocks
-    before: Floats  # fraction of each block that lies in the rest before the drive
-    inside: NDArray[np.intp]  # index of the block of each sample of the drive, (n,)
-    after: Floats  # fraction of each block that lies in the rest after the drive
+    first_rest_shares: Floats  # (number,) share of the rest before the drive in each block
+    block_of_sample: NDArray[np.intp]  # (n,) index of the block that contains each sample
+    last_rest_shares: Floats  # (number,) share of the rest after the drive in each block
 
     @classmethod
     def of(cls, drive: Drive) -> _Blocks:
         drive_begin = drive.before.duration
         drive_end = drive_begin + drive.duration
-        total = drive_end + drive.after.duration
-        edges = np.linspace(0.0, total, SLOW_BLOCKS + 1)
-        before = np.diff(np.minimum(edges, drive_begin)) / drive_begin
-        after = np.diff(np.maximum(edges, drive_end)) / drive.after.duration
+        end = drive_end + drive.after.duration
+        edges = np.linspace(0.0, end, SLOW_BLOCKS + 1)
+        first_shares = np.diff(np.minimum(edges, drive_begin)) / drive_begin
+        last_shares = np.diff(np.maximum(edges, drive_end)) / drive.after.duration
         middle_times = drive_begin + (np.arange(len(drive.gyro)) + 0.5) * drive.tau0
-        inside = np.minimum((middle_times / edges[1]).astype(np.intp), SLOW_BLOCKS - 1)
-        return cls(float(edges[1]), SLOW_BLOCKS, before, inside, after)
+        block_of_sample = np.minimum((middle_times / edges[1]).astype(np.intp), SLOW_BLOCKS - 1)
+        return cls(float(edges[1]), SLOW_BLOCKS, first_shares, block_of_sample, last_shares)
 
     def weights(self, samples: Floats, first: Floats, last: Floats) -> Floats:
         """Return the residuals per unit of the mean error of each axis in each block.
@@ -328,8 +334,11 @@ class _Blocks(NamedTuple):
         error of each sample. ``first`` and ``last``, (9, 6), are the residuals per unit of the
         error of the mean at each rest.
         """
-        first_samples = np.flatnonzero(np.diff(self.inside, prepend=-1))
-        out = np.zeros((self.number, *first.shape))
-        out[self.inside[first_samples]] = np.add.reduceat(samples, first_samples, axis=0)
-        out += self.before[:, None, None] * first + self.after[:, None, None] * last
-        return out
+        first_samples = np.flatnonzero(np.diff(self.block_of_sample, prepend=-1))
+        weights = np.zeros((self.number, *first.shape))
+        weights[self.block_of_sample[first_samples]] = np.add.reduceat(
+            samples, first_samples, axis=0
+        )
+        first_shares, last_shares = self.first_rest_shares, self.last_rest_shares
+        weights += first_shares[:, None, None] * first + last_shares[:, None, None] * last
+        return weights
