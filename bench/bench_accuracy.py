@@ -1,14 +1,15 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Monte Carlo of the fits: simulate records with known noise, fit them, compare with the truth.
+"""Accuracy of the fits: simulate records with known noise, fit them, compare with the truth.
 
     python bench/bench_accuracy.py                                   a short version, minutes
     python bench/bench_accuracy.py table1_x --runs 300 --keep DIR    one scenario, sums kept
     python bench/bench_accuracy.py line_30 lines_30_03 low_pass_4_20 hump_10 --methods likelihood
-    python bench/bench_accuracy.py real                              curve over drawn model
+    python bench/bench_accuracy.py real                              real recordings
 
-Samples pass through the engine as in a recording. With --keep their sums are stored and
-reused, so all methods are compared on the same records. ``real`` needs $ALLAN_ROS_SHARED.
+With --keep, the Allan sums of the simulated records are stored, and later runs fit these sums
+again. ``real`` compares the Allan curves of real recordings with the curves of the fitted models.
+It needs $ALLAN_ROS_SHARED.
 """
 
 from __future__ import annotations
@@ -38,39 +39,44 @@ from allan_ros.core.noise.derived import avar
 from allan_ros.core.simulator import simulate_axis
 
 AXES = ('gyro_x', 'gyro_y', 'gyro_z', 'accel_x', 'accel_y', 'accel_z')
-"""Number of axes that are fitted together, as the axes of one IMU."""
+"""Names of the axes of a simulated record, which are fitted together."""
 
 CONFIDENCE = 0.95
 
 
 def gyro(**datasheet: float) -> Model:
-    """Return noise terms of a gyro; Q, N, B, K, R are in urad, deg/sqrt(h), deg/h, deg/h^1.5,
-    deg/h^2.
+    """Return the noise model of a gyro, given its terms in datasheet units.
+
+    Q is in urad, N in deg/sqrt(h), B in deg/h, K in deg/h^1.5 and R in deg/h^2.
     """
     return Model.of(**{k: from_datasheet(k, 'gyro', v) for k, v in datasheet.items()})
 
 
 @dataclass(frozen=True)
 class Scenario:
-    """Kind of records to simulate.
+    """Noise, length and disturbances of the records that are simulated.
 
     Attributes
     ----------
     truth : Model
+        The five noise terms.
     rate, seconds : float
-        In Hz and s.
+        Sample rate in Hz, and duration of a record in s.
     seed : int
-        Seed of the random numbers. It does not depend on the other scenarios.
+        Seed of the random numbers.
     segments : int
-        Number of segments.
+        Number of segments into which a record is split.
     at_random : bool
         Whether the segments have random instead of equal lengths.
     lines : tuple of (amplitude, frequency)
-        Additional sinusoids: amplitude relative to the white noise per sample, and Hz.
+        Sinusoids that are added: amplitude relative to the standard deviation of the white noise of
+        a sample, and frequency in Hz.
     hump : (size, correlation time)
-        Gauss-Markov noise: largest ratio of its Allan deviation to the true one, and s.
+        Gauss-Markov process that is added: largest ratio of its Allan deviation to the Allan
+        deviation of ``truth``, and correlation time in s. Size 0 adds no process.
     low_pass : (order, corner)
-        A Butterworth filter of the samples, and Hz; order 0: none.
+        Order and corner frequency in Hz of a Butterworth filter of the samples. Order 0 means that
+        the samples are not filtered.
     """
 
     truth: Model
@@ -84,7 +90,7 @@ class Scenario:
     low_pass: tuple[int, float] = (0, 1.0)
 
     def axis(self, rng: np.random.Generator) -> np.ndarray:
-        """Return the samples of one record."""
+        """Return the samples of one axis of a record, (n,), in SI."""
         from scipy.signal import butter, lfilter
 
         order, corner = self.low_pass
@@ -115,7 +121,7 @@ class Scenario:
         return np.cumsum([len(part) for part in np.array_split(np.arange(n), self.segments)])[:-1]
 
     def draw(self, rng: np.random.Generator, axes: int) -> AllanSums:
-        """Return the sums of one independent record per axis."""
+        """Return the Allan sums of one record whose axes have independent noise."""
         rows = np.stack([self.axis(rng) for _ in range(axes)], axis=1)
         engine = RunningSums(axes=AXES[:axes])
         start = 0
@@ -133,7 +139,7 @@ Y = gyro(Q=0.124, N=0.168, B=4.972, K=8.169, R=11.068)
 Z = gyro(Q=0.100, N=0.245, B=6.058, K=50.568, R=66.250)
 HOUR = 3600.0
 DAY = 24 * HOUR
-# A month on a robot, split at every drive and shock.
+# noise in the scenarios of a month on a robot, in which drives and shocks split the record
 MONTH = gyro(N=0.172, K=6.19)
 WITH_FLICKER = MONTH.changed(B=from_datasheet('B', 'gyro', 1.24))
 SCENARIOS = {
@@ -175,7 +181,7 @@ SCENARIOS = {
 
 @dataclass(frozen=True)
 class Outcome:
-    """Result of one fit for one term; NaN if the fit gives no number."""
+    """Estimate of one term by one fit, and its 95 % interval; NaN for unknown limits."""
 
     value: float
     low: float
@@ -184,16 +190,14 @@ class Outcome:
 
     @classmethod
     def of(cls, c: Estimate) -> Outcome:
-        """Return the outcome of a coefficient; an upper limit becomes an interval that begins at
-        zero.
-        """
+        """Return the outcome for a coefficient; an upper limit becomes an interval from 0 on."""
         nan = float('nan')
         low, high = c.ci95 or (0.0, nan if c.upper95 is None else c.upper95)
         return cls(c.value or 0.0, low, high, c.status == 'estimated')
 
 
 def draws(scenario: str, runs: int, keep: Path | None) -> Iterator[AllanSums]:
-    """Yield the sums of simulated records, six at a time; files in ``keep`` are reused."""
+    """Yield the Allan sums of records of six axes; sums in the folder ``keep`` are reused."""
     for block in range(-(-runs // len(AXES))):
         file = keep / f'{scenario}_{block:04d}.pickle' if keep else None
         if file and file.exists():
@@ -207,7 +211,7 @@ def draws(scenario: str, runs: int, keep: Path | None) -> Iterator[AllanSums]:
 
 
 def clopper_pearson(hits: int, runs: int) -> tuple[float, float]:
-    """Return the exact 95 % interval of a share (Clopper & Pearson, Biometrika 26, 1934)."""
+    """Return the exact 95 % interval of hits / runs (Clopper & Pearson, Biometrika 26, 1934)."""
     from scipy.special import betaincinv
 
     tail = (1.0 - CONFIDENCE) / 2.0
@@ -217,7 +221,7 @@ def clopper_pearson(hits: int, runs: int) -> tuple[float, float]:
 
 
 def table(scenario: str, fits: list[AxisFit]) -> str:
-    """Return the table of one scenario and method: a line per term."""
+    """Return the table of one scenario and one method of the fit, with a line for each term."""
     lines = [
         '| term | truth | bias % | RMSE % | median | said | coverage % (95 % band) | width |',
         '|---|---|---|---|---|---|---|---|',
@@ -248,7 +252,7 @@ def table(scenario: str, fits: list[AxisFit]) -> str:
 
 
 def processes_found(fits: list[AxisFit]) -> str:
-    """Return how often processes, a filter and lack of fit were found, and in what number."""
+    """Return as text on how many axes processes, a low-pass filter or lack of fit were found."""
     kinds = [name for name, one in PROCESSES.items() if one.parameters]
     numbers = {k: Counter(len(fit.model[k]) for fit in fits) for k in kinds}
     parts = [f'{k} {dict(sorted(n.items()))}' for k, n in numbers.items()]
@@ -258,19 +262,20 @@ def processes_found(fits: list[AxisFit]) -> str:
 
 
 POINTS, RECORDS = 512, 400
-"""Block means and number of the records that are simulated from a fitted model."""
+"""Number of block means of a record that is simulated from a model, and number of records."""
 
 
 def octave_medians(ratio: np.ndarray, tau: np.ndarray) -> np.ndarray:
-    """Return the median of each octave of tau; ``ratio`` is (..., taus)."""
+    """Return the median ratio in each octave of tau, (..., octaves); ``ratio`` is (..., taus)."""
     octave = np.floor(np.log2(tau / tau[0]) + 1e-9)
     return np.stack([np.median(ratio[..., octave == o], -1) for o in np.unique(octave)], -1)
 
 
 def differences(axis: ar.AxisResult, step: int) -> np.ndarray:
-    """Return the covariance of the differences of ``POINTS`` block means in the fitted model.
+    """Return the covariance matrix of the differences of neighboring block means.
 
-    The gamma of nonstationary noise is known up to a constant, which the differences remove.
+    The covariance follows from the fitted model for `POINTS` means over ``step`` samples. For
+    nonstationary noise, gamma is known only up to a constant, which cancels in the differences.
     """
     model, tau0, lag = axis.fit.model, axis.tau0, np.arange(POINTS)
     gamma = sum(
@@ -283,8 +288,10 @@ def differences(axis: ar.AxisResult, step: int) -> np.ndarray:
 
 
 def beyond(axis: ar.AxisResult, seconds: float) -> tuple[int, int]:
-    """Return how many octaves of tau above T/20 lie outside the 95 % band of records simulated
-    from the fitted model, and the number of these octaves.
+    """Return how many octaves of the curve lie outside their 95 % band, and how many were tested.
+
+    The octaves from T/20 to T/4 are tested, where T is the duration ``seconds``. The band contains
+    95 % of the curves of records that are simulated from the fitted model.
     """
     step = int(seconds / axis.tau0) // POINTS
     root = np.linalg.cholesky(differences(axis, step))
@@ -312,9 +319,10 @@ def beyond(axis: ar.AxisResult, seconds: float) -> tuple[int, int]:
 
 
 def real() -> None:
-    """Print the measured curve over the drawn model of the shared recordings, by sensor.
+    """Print how the Allan curves of the shared recordings differ from the curves of the models.
 
-    Up to T/20: the range of the medians of the octaves; beyond: octaves outside their band.
+    A line has for each sensor the range of the ratios of the two curves up to T/20 (medians of the
+    octaves), where T is the duration, and the result of `beyond` for the longer times.
     """
     data = Path(os.environ.get('ALLAN_ROS_SHARED', '../shared')) / 'data'
     static = runpy.run_path(str(data / 'static' / 'load.py'))['load']
@@ -355,7 +363,7 @@ def real() -> None:
 
 
 def run(scenario: str, runs: int, methods: list[str], keep: Path | None) -> None:
-    """Simulate, fit, and print a table for every method."""
+    """Simulate the records of a scenario, fit them by each method, and print a table for each."""
     rows: dict[str, list[AxisFit]] = {method: [] for method in methods}
     spent = dict.fromkeys(methods, 0.0)
     for sums in draws(scenario, runs, keep):

@@ -3,11 +3,11 @@
 """Error rates of `allan compare`: false differences, and false equality at the limit of --within.
 
     python bench/bench_compare.py                          20 pairs of 5 min, a minute or two
-    python bench/bench_compare.py --pairs 200 --hours 1    the counts in docs/validation.md
+    python bench/bench_compare.py --pairs 200 --hours 1    200 pairs of 1 h
 
-Each pair consists of simulated recordings of the six axes of an IMU. A first pair has equal noise;
-a difference is an error. In a second pair, all noise terms differ by the limit of the test of
-equivalence; 'same' is an error, and 5 % of the axes may show it.
+Each pair consists of two simulated recordings of the six axes of an IMU. If both recordings have
+the same noise, a significant difference is an error. If all noise terms differ by exactly
+--within, the answer 'same' is an error, which is expected on at most 5 % of the axes.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ from allan_ros.core.check import Check
 from allan_ros.core.simulator import PRESETS
 
 RATE = 50.0
-"""Hz."""
+"""Sample rate in Hz."""
 
 
 def simulated(hours: float, seed: int, factor: float = 1.0) -> ar.Results:
-    """Return the results of one simulated recording, with all noise terms times a factor."""
+    """Return the results of a simulated recording, with all noise terms multiplied by a factor."""
     noise = {
         axis: {term: factor * value for term, value in terms.items()}
         for axis, terms in PRESETS['paper'].items()
@@ -37,7 +37,7 @@ def simulated(hours: float, seed: int, factor: float = 1.0) -> ar.Results:
 
 
 def clopper_pearson(hits: int, runs: int) -> tuple[float, float]:
-    """Return the 95 % interval of a probability."""
+    """Return the 95 % interval of a probability, given the number of hits in a number of runs."""
     low = beta.ppf(0.025, hits, runs - hits + 1) if hits else 0.0
     high = beta.ppf(0.975, hits + 1, runs - hits) if hits < runs else 1.0
     return float(low), float(high)
@@ -74,7 +74,7 @@ def main() -> None:
 
 
 def _answers(differences: Iterable[Check], within: float) -> list[tuple[str, str]]:
-    """Return (term, answer) for each coefficient that both recordings resolve."""
+    """Return (term, answer of the test of equivalence) for each coefficient with a known ratio."""
     return [
         (d.quantity, d.equivalence(within))
         for d in differences

@@ -1,14 +1,14 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A day of a simulated robot without ROS: every change of the status is listed and judged.
+"""A simulated day of a robot, without ROS: list and explain every change of the status.
 
     python bench/bench_day.py              24 hours at 100 Hz
     python bench/bench_day.py --hours 6    a part of the day
 
-The robot rests at first, then every hour it drives for half an hour (120 s, with 60 s of rest
-between) and rests for half an hour, in which something happens: a fault, a fan, or a restart of the
-node. The table has a line for each change of the warnings and errors of the status. A change is
-explained if what happens names it, or ended less than 30 s ago (events are reported for 20 s).
+In the first hour, the robot is at rest. In every later hour, it drives for half an hour (drives of
+120 s with 60 s of rest between them) and is at rest for half an hour. Each later hour has one
+event: a fault, a fan or a restart of the node. The table has a line for each change of the warnings
+and errors. A change is unexplained if it occurs neither during an event nor in the 30 s after it.
 """
 
 from __future__ import annotations
@@ -32,13 +32,13 @@ from bench_faults import (
 )
 
 HOUR_S, DRIVES_S, DRIVE_S, CYCLE_S = 3600, 1800, 120, 180
-"""Length of an hour, of the drives in it, of one drive, and of a drive with its rest, in s."""
+"""Durations in s: an hour, the drives at its start, one drive, and a drive with the next rest."""
 
 BEGIN_S, GRACE_S = 2400, 30
-"""Time in an hour at which something happens, and for which it is an excuse after its end, in s."""
+"""Start of the fault of an hour in s, and time in s for which the fault explains later changes."""
 
 PUBLISH_S = 60
-"""Period in s at which the sums are computed."""
+"""Period in s at which the Allan sums are computed."""
 
 HAPPENS = [
     ('nothing', 0),
@@ -66,17 +66,17 @@ HAPPENS = [
     ('fan', 900),
     ('stuck', 5),
 ]
-"""What happens in each hour, and for how many seconds."""
+"""Event of each hour, and its duration in s."""
 
 
 def moving(second: int) -> bool:
-    """Return whether the robot drives in a second of the day."""
+    """Return whether the robot drives at a time, in s since the start of the day."""
     hour, at = divmod(second, HOUR_S)
     return hour > 0 and at < DRIVES_S and at % CYCLE_S < DRIVE_S
 
 
 def driven(x: np.ndarray, first_s: int, rng: np.random.Generator) -> np.ndarray:
-    """Return samples with the motion and the vibration of the drives, (n, 6)."""
+    """Return the samples, (n, 6), with the motion and the vibration of the drives added."""
     t = first_s + np.arange(len(x)) / RATE
     drives = np.repeat([moving(int(s)) for s in range(first_s, first_s + len(x) // RATE)], RATE)
     swing = np.sin(2 * np.pi * 0.3 * t)[:, None] * [0.02, 0.03, 0.4, 1.0, 0.5, 0.2]
@@ -85,7 +85,7 @@ def driven(x: np.ndarray, first_s: int, rng: np.random.Generator) -> np.ndarray:
 
 
 def messages_of_hour(hour: int, bias: np.ndarray, rng: np.random.Generator) -> Messages:
-    """Return the messages of an hour, with what happens in it."""
+    """Return the messages of an hour, with the fault of this hour."""
     what, lasts = HAPPENS[hour % len(HAPPENS)]
     x = simulated(HOUR_S, rng)
     messages = messages_of(rounded(driven(x - x.mean(axis=0) + bias, hour * HOUR_S, rng)))
@@ -101,7 +101,7 @@ def messages_of_hour(hour: int, bias: np.ndarray, rng: np.random.Generator) -> M
 
 
 def day(hours: int) -> None:
-    """Simulate the day, and print the table."""
+    """Simulate the hours of a day, and print the changes of the status."""
     rng = np.random.default_rng(1)
     bias = np.append(rng.normal(size=5) * ([2e-3] * 3 + [0.1] * 2), 9.8)
     live, shown = Input(PUBLISH_S), frozenset[str]()
@@ -146,7 +146,7 @@ def day(hours: int) -> None:
 
 
 def main() -> None:
-    """Print the table."""
+    """Simulate as many hours as requested."""
     formatter = argparse.RawTextHelpFormatter
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=formatter)
     parser.add_argument('--hours', type=int, default=len(HAPPENS))

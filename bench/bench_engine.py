@@ -1,12 +1,12 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Speed and accuracy of the engine: against allantools.oadev, and for growing record lengths.
+"""Speed and rounding errors of the Allan sums, compared with allantools.oadev and exact integers.
 
     python bench/bench_engine.py           to 10 h at 1 kHz x 6 axes, about half a minute
     python bench/bench_engine.py --full    to 100 h: 360 M samples, some minutes
 
-Doubles between 8 and 16 are multiples of 2^-49. So samples near 9.8 can be written as integers,
-whose phase and second differences are computed exactly.
+Floating-point numbers (float64) between 8 and 16 are multiples of 2^-49. Samples near 9.8 m/s^2 are
+therefore integers in this unit, and the exact sums of squares can be computed from the integers.
 """
 
 from __future__ import annotations
@@ -30,20 +30,20 @@ from allan_ros.core.allan.running import RunningSums
 
 OFFSET = 9.8
 BIT = 2.0**-49
-"""Spacing of float64 between 8 and 16."""
+"""Spacing of float64 numbers between 8 and 16."""
 SIGMA = 0.02
 """Standard deviation of the samples in m/s^2, typical of a consumer accelerometer."""
 RATE_HZ = 1000
 BLOCK = 1 << 20
 STEP = 256
-"""The exact phase is kept at every 256th sample, enough for the factors of level 8 and above."""
+"""The exact phase is kept at every 256th sample. Sums whose stride is at least 256 are checked."""
 HOURS = (1 / 6, 1.0, 10.0, 100.0)
 AXES = 6
 CHECKED_AXIS = 3
 
 
 def blocks(samples: int, pool: np.ndarray, seed: int = 0) -> Iterator[tuple[int, int]]:
-    """Yield (first column, number of columns) of random blocks of the pool, which form a record."""
+    """Yield first column and number of columns of the random blocks of ``pool`` in a record."""
     rng = np.random.default_rng(seed)
     while samples > 0:
         size = min(BLOCK, samples)
@@ -52,7 +52,7 @@ def blocks(samples: int, pool: np.ndarray, seed: int = 0) -> Iterator[tuple[int,
 
 
 def exact_phase(samples: int, numbers: np.ndarray) -> np.ndarray:
-    """Return the phase of one axis at every STEP-th sample, as exact integers."""
+    """Return the integrated samples of one axis at every `STEP`-th sample, as exact integers."""
     parts, last, at = [np.zeros(1, np.int64)], 0, 0
     first = None
     for begin, size in blocks(samples, numbers[None]):
@@ -65,7 +65,7 @@ def exact_phase(samples: int, numbers: np.ndarray) -> np.ndarray:
 
 
 def exact_sum_sq(phase: np.ndarray, m: int, stride: int) -> float:
-    """Return the sum of squared second differences, computed in integers."""
+    """Return the exact sum of the squared second differences at averaging factor ``m``."""
     lag, step = m // STEP, stride // STEP
     d = (phase[2 * lag :] - 2 * phase[lag:-lag] + phase[: -2 * lag])[::step]
     return float((d.astype(np.longdouble) ** 2).sum() * BIT**2)
@@ -103,7 +103,7 @@ def show_growth(hours: tuple[float, ...]) -> None:
 
 
 class Comparison(NamedTuple):
-    """CPU time in s of the sums and of allantools at the same factors: medians."""
+    """Median CPU time in s of the Allan sums and of allantools for equal averaging factors."""
 
     ours: float
     theirs: float
@@ -112,10 +112,10 @@ class Comparison(NamedTuple):
 
 
 def compared(rounds: int) -> Comparison:
-    """Compare the sums of 1 M samples x 6 axes with allantools, in alternating rounds."""
+    """Measure the Allan sums and allantools in alternating rounds, with 1 M samples of 6 axes."""
     import allantools
 
-    # one row per axis, as the samples of a stream
+    # one row for each axis; the transpose of a part of the rows is a block of a stream
     y = np.random.default_rng(2).normal(size=(AXES, 1_000_000))
     ours, theirs = [], []
     for _ in range(rounds):

@@ -1,18 +1,19 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What becomes of every fault of an IMU: is it named, does the stream heal, are good data used?
+"""Faults of an IMU: are they named, does the status recover, and are the good data used?
 
     python bench/bench_faults.py                          all faults, 5 seeds
     python bench/bench_faults.py frozen 15_percent --seeds 2 --begins boot --numbers
 
-The messages pass the stages of a node, one second at a time, without ROS: `Arrivals`, `ImuStream`,
-`ConstantAxes` and `TransportMonitor`. A fault begins at boot, or after a random time of
-`BEGIN_S` to `BEGIN_S` + 20 s. Each cell of the table has four numbers in percent of the seeds: the
-fault is named within 10 s; from 30 s after its end on, the status has no warning or error and the
-state is as before; the interval of N of every axis agrees with the truth at the end; and at least
-90 % of the good data are used. A dash marks what a cell cannot have: a fault that lasts does not
-heal, has no good data if it lasts from boot, and what differs from the usual only by comparison
-with earlier data has no name if it begins at boot.
+Simulated messages pass the stages of a node without ROS. A fault begins at boot, or 120 to 140 s
+later. The four numbers of a cell state for how many percent of the seeds
+
+- a finding names the fault within 10 s,
+- no warning or error remains 30 s after the fault has ended,
+- N of every axis is right at the end,
+- at least 90 % of the good data are used.
+
+A dash marks a number that does not apply to the fault.
 """
 
 from __future__ import annotations
@@ -44,24 +45,26 @@ RATE = 100
 """Sample rate in Hz."""
 
 BEGIN_S, PHASE_S, AFTER_S = 120, 20, 180
-"""Time before a fault in mid-run, range of a random time that is added to it, and time after a
-fault that heals, in s."""
+"""Time in s before a fault that does not begin at boot, range of the random time that is added, and
+time that is simulated after the end of a fault."""
 
 DURATIONS_S = 30, 120
-"""Times after which a fault heals, in s."""
+"""Durations in s of faults that end."""
 
 LASTING_S = 180
-"""Time for which a fault that lasts is watched, in s."""
+"""Time in s for which a fault that does not end is simulated."""
 
 NAMED_S, HEALED_S, USED_SHARE = 10.0, 30.0, 0.9
-"""Goals: time to the first finding and from the end of a fault to the last one, in s, and share of
-the good data in the sums."""
+"""Goals: longest time in s from the start of a fault to a finding that names it, longest time in s
+from the end of the fault to the last warning, and least share of the good data that is used."""
 
 RIGHT, N_SIGMAS, N_ERROR = 0.03, 4.5, 0.1
-"""Relative error of the Allan deviation at the sample period up to which N is right without a fit
-(five standard deviations of 120 s); largest error of N of the fit in standard deviations, of which
-its 95 % interval has 3.92 (false alarm of six axes: 4e-5), and relative to the truth, so that no
-wide interval passes."""
+"""Largest errors of N that count as right.
+
+Without a fit, the Allan deviation at the sample period may differ from the truth by `RIGHT`. This
+is 3.8 standard deviations for 120 s of data. The fitted N may differ by `N_SIGMAS` standard errors
+(false alarms of six axes: 4e-5), and by the fraction `N_ERROR`, so that no wide interval passes.
+"""
 
 START_NS = 1_700_000_000_000_000_000
 
@@ -75,7 +78,7 @@ Change = Callable[[Samples, Rng], Samples]
 
 @dataclass(frozen=True)
 class Messages:
-    """Messages of an IMU: when each arrives in s, its stamp in ns, samples (n, 6), and number."""
+    """Messages of an IMU: arrival times in s, stamps in ns, samples, (n, 6), sequence numbers."""
 
     arrived_s: np.ndarray
     stamps: np.ndarray
@@ -86,7 +89,7 @@ class Messages:
         return len(self.stamps)
 
     def part(self, which: slice | np.ndarray) -> Messages:
-        """Return some of the messages."""
+        """Return the messages with the given indices."""
         return Messages(
             self.arrived_s[which], self.stamps[which], self.samples[which], self.numbers[which]
         )
@@ -97,7 +100,7 @@ class Messages:
 
     @classmethod
     def joined(cls, parts: list[Messages]) -> Messages:
-        """Return the messages of all parts."""
+        """Return the messages of all ``parts``, one part after the other."""
         return cls(
             np.concatenate([each.arrived_s for each in parts]),
             np.concatenate([each.stamps for each in parts]),
@@ -118,12 +121,12 @@ def simulated(seconds: float, rng: Rng, rate: int = RATE) -> Samples:
 
 
 def rounded(x: Samples) -> Samples:
-    """Return samples with a resolution of 16 bits."""
+    """Return the samples, rounded to the resolution `LSB` of a sensor with 16 bits."""
     return np.asarray(np.round(x / LSB) * LSB)
 
 
 def messages_of(samples: Samples, rate: int = RATE) -> Messages:
-    """Return the messages of an IMU that samples evenly, and whose messages arrive at once."""
+    """Return messages with evenly spaced stamps, each of which arrives at the time of its stamp."""
     index = np.arange(len(samples))
     stamps = START_NS + np.round(index * (1e9 / rate)).astype(np.int64)
     return Messages(index / rate, stamps, samples, index)
@@ -135,7 +138,7 @@ GYRO, ACCEL, ALL = [0, 1, 2], [3, 4, 5], [0, 1, 2, 3, 4, 5]
 
 
 def of_axes(axes: list[int], change: Change) -> Change:
-    """Return the change of some axes only."""
+    """Return the given change, restricted to the axes with these indices."""
 
     def changed(x: Samples, rng: Rng) -> Samples:
         out = x.copy()
@@ -146,7 +149,7 @@ def of_axes(axes: list[int], change: Change) -> Change:
 
 
 def frozen(x: Samples, rng: Rng) -> Samples:
-    """Return the first sample over and over, (n, 6)."""
+    """Return the first sample n times, (n, 6)."""
     return np.asarray(x[:1] + 0 * x)
 
 
@@ -156,35 +159,35 @@ def zeros(x: Samples, rng: Rng) -> Samples:
 
 
 def scaled(*factors: float) -> Change:
-    """Return the change by a factor per axis, as by another unit of measurement."""
+    """Return the change that multiplies each axis by a factor, like another unit of measurement."""
     return lambda x, rng: x * factors
 
 
 def noise_times(factor: float) -> Change:
-    """Return the change of the noise by a factor."""
+    """Return the change that multiplies the noise by a factor and keeps the means."""
     return lambda x, rng: x.mean(0) + factor * (x - x.mean(0))
 
 
 def every_second(x: Samples) -> Samples:
-    """Return a flag for every second sample, (n, 1)."""
+    """Return flags that are set for every second sample, (n, 1)."""
     return np.arange(len(x))[:, None] % 2 == 1
 
 
 def fan(x: Samples, rng: Rng) -> Samples:
-    """Return samples with a vibration of 31 Hz at 100 Hz and broadband noise of three times."""
+    """Return the samples with added vibration at 31 Hz and white noise of three times `SIGMA`."""
     phase = 2 * np.pi * 0.31 * np.arange(len(x))[:, None] + np.arange(6)
     return np.asarray(x + 3.0 * SIGMA * (np.sin(phase) + rng.normal(size=x.shape)))
 
 
 def driven(x: Samples, rng: Rng) -> Samples:
-    """Return samples of a drive: slow motion, and vibration."""
+    """Return the samples with the slow motion and the vibration of a drive added."""
     t = np.arange(len(x)) / RATE
     swing = np.sin(2 * np.pi * 0.3 * t)[:, None] * [0.02, 0.03, 0.4, 1.0, 0.5, 0.2]
     return np.asarray(x + swing + rng.normal(size=x.shape) * ([1e-2] * 3 + [0.3] * 3))
 
 
 def permuted(x: Samples, rng: Rng) -> Samples:
-    """Return samples with the axes x and z exchanged, as after another mounting in the driver."""
+    """Return the samples with the axes x and z of both sensors exchanged."""
     return x[:, [2, 1, 0, 5, 4, 3]]
 
 
@@ -192,32 +195,32 @@ def permuted(x: Samples, rng: Rng) -> Samples:
 
 
 def of_samples(change: Change) -> Disturbance:
-    """Return the disturbance that changes only the samples."""
+    """Return the disturbance that applies a change to the samples of messages."""
     return lambda m, rng: replace(m, samples=change(m.samples, rng))
 
 
 def of_stamps(change: Callable[[np.ndarray], np.ndarray]) -> Disturbance:
-    """Return the disturbance that changes only the stamps in ns."""
+    """Return the disturbance that applies a change to the stamps (ns) of messages."""
     return lambda m, rng: replace(m, stamps=change(m.stamps))
 
 
 def lost(share: float) -> Disturbance:
-    """Return the loss of a share of the messages on their way, at random."""
+    """Return the disturbance that loses a share of the messages in transport, at random."""
     return lambda m, rng: m.part(rng.random(len(m)) >= share)
 
 
 def never_sent(m: Messages, rng: Rng) -> Messages:
-    """Return no messages, and do not count those that were not sent."""
+    """Return no messages, as if the driver had sent none."""
     return m.part(slice(0))
 
 
 def half_rate(m: Messages, rng: Rng) -> Messages:
-    """Return every second sample."""
+    """Return every second message."""
     return numbered(m.part(slice(None, None, 2)), m)
 
 
 def double_rate(m: Messages, rng: Rng) -> Messages:
-    """Return twice as many samples with the same noise."""
+    """Return twice as many messages, at twice the sample rate, with the same noise."""
     step = np.median(np.diff(m.stamps)).astype(np.int64) // 2
     between = replace(
         m,
@@ -229,7 +232,7 @@ def double_rate(m: Messages, rng: Rng) -> Messages:
 
 
 def second_imu(m: Messages, rng: Rng) -> Messages:
-    """Return the messages of two IMUs with different biases."""
+    """Return the messages and, between them, the messages of a second IMU with other biases."""
     other = simulated(len(m) / RATE, rng) + [0.01, -0.02, 0.015, 0.3, -0.2, 0.1]
     step = round(0.3e9 / RATE)
     second = Messages(m.arrived_s + step * 1e-9, m.stamps + step, rounded(other), m.numbers)
@@ -237,18 +240,18 @@ def second_imu(m: Messages, rng: Rng) -> Messages:
 
 
 def duplicated(m: Messages, rng: Rng) -> Messages:
-    """Return each message twice, as from two bridges."""
+    """Return each message twice, as if two bridges forwarded it."""
     return numbered(m.part(np.arange(len(m)).repeat(2)), m)
 
 
 def late(m: Messages, rng: Rng) -> Messages:
-    """Return messages of which one of ten is overtaken by up to six others."""
+    """Return the messages with a tenth of them delayed, so that up to six others overtake each."""
     delay = rng.uniform(0.01, 0.06, len(m)) * (rng.random(len(m)) < 0.1)
     return numbered(replace(m, arrived_s=m.arrived_s + delay).in_order(), m)
 
 
 def bursts(m: Messages, rng: Rng) -> Messages:
-    """Return messages that are read ten at a time, and stamped when they are read."""
+    """Return the messages as if a host read and stamped ten samples at a time."""
     first = np.arange(len(m)) // 10 * 10
     last = np.minimum(first + 9, len(m) - 1)
     at = m.arrived_s[last] + 1e-4 * (np.arange(len(m)) - first)
@@ -257,17 +260,26 @@ def bursts(m: Messages, rng: Rng) -> Messages:
 
 
 def numbered(m: Messages, source: Messages) -> Messages:
-    """Return messages without missing numbers: the publisher sent these."""
+    """Return the messages with consecutive sequence numbers that begin as in ``source``."""
     return replace(m, numbers=source.numbers[:1] + np.arange(len(m)))
 
 
 @dataclass(frozen=True)
 class Fault:
-    """A fault: what it does to messages, and the findings that name it.
+    """A fault: how it disturbs messages, and the findings that may name it.
 
-    ``is_good`` is True if the data remain good, and ``noise_changes`` if they remain white noise of
-    another level, which becomes normal if it lasts. ``shows_at_boot`` is False if only the
-    comparison with earlier data shows the fault. Without ``names`` it needs none.
+    Attributes
+    ----------
+    names : str
+        Ids of findings, separated by spaces, of which one must appear; '' if none need appear.
+    disturb : function
+        Returns the disturbed messages.
+    is_good : bool
+        Whether the disturbed data are still good, and should be used.
+    noise_changes : bool
+        Whether the noise has another level, which is accepted as normal if the fault does not end.
+    shows_at_boot : bool
+        Whether the fault can be recognized without earlier data.
     """
 
     names: str
@@ -366,9 +378,9 @@ FAULTS = {
 
 @dataclass
 class Seen:
-    """What the status of a node showed, once a second: findings, state, and the sums at the end."""
+    """Findings and state in the status of each second, and the Allan sums at the end."""
 
-    findings: list[dict[str, str]] = field(default_factory=list)  # id -> severity
+    findings: list[dict[str, str]] = field(default_factory=list)  # of each second: id -> severity
     states: list[str] = field(default_factory=list)
     result: Accumulation | None = None
 
@@ -378,7 +390,7 @@ class Input:
 
     def __init__(self, publish_s: int = 10) -> None:
         self.stream = ImuStream()
-        self._publish_s = publish_s  # period in s at which the sums are computed
+        self._publish_s = publish_s  # period in s at which the Allan sums are computed
         self._monitor = TransportMonitor('imu/data', 0.0)
         self._constant = ConstantAxes()
         self._statistics = TransportStatistics()
@@ -388,11 +400,11 @@ class Input:
         self._events: object = None
 
     def begin_numbers(self) -> None:
-        """Accept that the numbers of the messages begin anew."""
+        """Accept any sequence number as the number of the next message."""
         self._next_number = None
 
     def status(self, time_s: float, messages: Messages) -> tuple[StreamHealth, tuple[Finding, ...]]:
-        """Process the messages of a second, and return the health and findings of the status."""
+        """Process the messages of a second, and return the health and the findings after it."""
         self._statistics.received += len(messages)
         if len(messages):
             expected = messages.numbers[0] if self._next_number is None else self._next_number
@@ -406,7 +418,7 @@ class Input:
         health, found = self.stream.present_health(self._sums)
         c = health.counts
         events = health.state, health.discarded, sum(c.splits.values()), c.used > 0
-        # and for each publication
+        # the Allan sums are computed after each event, and at each publication
         if events != self._events or round(time_s) % self._publish_s == 0:
             self._events = events
             result = self.stream.result()
@@ -420,7 +432,7 @@ class Input:
 
 
 def watched(messages: Messages, seconds: int) -> Seen:
-    """Return what is seen of a stream in steps of a second."""
+    """Pass messages to a node input second by second, and return what its status showed."""
     live, seen = Input(), Seen()
     edges = np.searchsorted(messages.arrived_s, np.arange(seconds + 1))
     for second, (first, last) in enumerate(itertools.pairwise(edges), start=1):
@@ -434,10 +446,19 @@ def watched(messages: Messages, seconds: int) -> Seen:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a run showed; None for what it cannot have. Times in s.
+    """Result of one run; None for a number that does not apply to the fault.
 
-    ``error`` is the largest error of N, in units of its limits. ``during`` and ``after`` count the
-    seconds with each warning or error, and each state, during a fault and from `HEALED_S` after it.
+    Attributes
+    ----------
+    named_s, healed_s : float or None
+        Time from the start of the fault to a finding that names it, and from the end of the fault
+        to the last warning or error.
+    error : float or None
+        Largest error of N of all axes, divided by the largest error that is permitted.
+    used : float or None
+        Share of the good samples that are used.
+    during, after : str
+        Seconds with each warning, error and state, during the fault and from `HEALED_S` after it.
     """
 
     named_s: float | None
@@ -449,7 +470,7 @@ class Outcome:
 
     @property
     def flags(self) -> tuple[bool | None, ...]:
-        """Whether each goal is reached."""
+        """Whether each of the four goals is reached; None for a goal that does not apply."""
         limits = (NAMED_S, HEALED_S, 1.0)
         values = (self.named_s, self.healed_s, self.error)
         flags = [None if v is None else v <= limit for v, limit in zip(values, limits)]
@@ -457,9 +478,9 @@ class Outcome:
 
 
 def with_fault(whole: Messages, fault: Fault, place: slice, rng: Rng) -> Messages:
-    """Return messages with a fault from one message to another, in the order in which they arrive.
+    """Return messages of which the part ``place`` is disturbed, in the order of their arrival.
 
-    If a fault changes how many messages are sent, the numbers of later messages follow.
+    If the fault changes how many messages are sent, the later messages have other numbers.
     """
     disturbed = fault.disturb(whole.part(place), rng)
     later = whole.part(slice(place.stop, None))
@@ -472,7 +493,7 @@ def with_fault(whole: Messages, fault: Fault, place: slice, rng: Rng) -> Message
 
 @dataclass(frozen=True)
 class Course:
-    """Messages of an IMU with a fault from ``begin_s`` to ``end_s``; they last ``seconds``."""
+    """Messages that last ``seconds``, with a fault from ``begin_s`` to ``end_s``."""
 
     begin_s: float
     end_s: float
@@ -481,7 +502,7 @@ class Course:
 
     @classmethod
     def of(cls, fault: Fault, at_boot: bool, lasts_s: int | None, seed: int) -> Course:
-        """Simulate a fault from boot or after a random time; it may heal after ``lasts_s``."""
+        """Simulate a fault that begins at boot or at a random time, and ends after ``lasts_s``."""
         rng = np.random.default_rng([seed, at_boot, lasts_s or 0])
         begin_s = 0.0 if at_boot else BEGIN_S + round(PHASE_S * rng.random(), 2)
         end_s = begin_s + (lasts_s or LASTING_S)
@@ -492,12 +513,12 @@ class Course:
 
 
 def has_name(fault: Fault, at_boot: bool) -> bool:
-    """Return whether a finding or a state can name a fault."""
+    """Return whether a finding or a state of the status should name a fault."""
     return bool(fault.names) and (fault.shows_at_boot or not at_boot)
 
 
 def run(fault: Fault, at_boot: bool, lasts_s: int | None, seed: int) -> Outcome:
-    """Simulate a fault, and return what is seen of it without ROS."""
+    """Simulate a fault, and return when the status names it and when the status recovers."""
     course = Course.of(fault, at_boot, lasts_s, seed)
     begin_s, end_s, seconds = course.begin_s, course.end_s, course.seconds
     seen = watched(course.messages, seconds)
@@ -530,9 +551,9 @@ def run(fault: Fault, at_boot: bool, lasts_s: int | None, seed: int) -> Outcome:
 def _numbers(
     fault: Fault, seen: Seen, good: int, lasts_s: int | None
 ) -> tuple[float | None, float | None]:
-    """Return the error of N in units of its limits, and the share of the good samples used."""
+    """Return the error of N relative to its limit, and the share of good samples that is used."""
     assert seen.result is not None
-    # noise that lasts longer than the time before is regarded as the noise of the IMU
+    # noise that lasts longer than the earlier noise is accepted as the noise of the IMU
     if not good or (fault.noise_changes and not lasts_s):
         return None, None
     sums = seen.result.sums
@@ -558,7 +579,7 @@ def _numbers(
 
 
 def _summary(seen: Seen, begin_s: float, end_s: float) -> str:
-    """Return how many seconds each warning or error, and each state, was shown in a time."""
+    """Return as text for how many seconds each warning, error and state was shown."""
     place = slice(math.ceil(begin_s), math.ceil(end_s))
     said = Counter(
         id for ids in seen.findings[place] for id, severity in ids.items() if severity != 'info'
@@ -568,14 +589,14 @@ def _summary(seen: Seen, begin_s: float, end_s: float) -> str:
 
 
 def cells(begins: list[str]) -> Iterator[tuple[str, bool, int | None]]:
-    """Yield the name of each column, whether the fault is there at boot, and its duration in s."""
+    """Yield for each column: name, whether the fault begins at boot, duration in s or None."""
     for begin in begins:
         for lasts in (None, *DURATIONS_S):
             yield f'{begin} {f"{lasts} s" if lasts else "lasting"}', begin == 'boot', lasts
 
 
 def shares(outcomes: list[Outcome]) -> str:
-    """Return the shares of the runs that reached each goal, in percent."""
+    """Return as text the percentage of the runs that reached each goal."""
     columns = zip(*(outcome.flags for outcome in outcomes))
     return ' '.join(
         f'{"-":>3}' if None in flags else f'{100 * np.mean(flags):3.0f}'
@@ -584,7 +605,7 @@ def shares(outcomes: list[Outcome]) -> str:
 
 
 def main() -> None:
-    """Print the table."""
+    """Simulate the requested faults, and print the table."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawTextHelpFormatter
     )

@@ -1,15 +1,14 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The faults of bench_faults.py in real time: an Imu publisher, DDS, the monitor, `/diagnostics`.
+"""The faults of bench_faults.py in real time, published to a monitor over DDS.
 
     python bench/bench_faults_live.py                  20 cells, 6 at a time, about 25 min
     python bench/bench_faults_live.py --cells 40 --seed 7 --together 5
 
-The cells are drawn at random: a fault, from boot or in mid-run, that lasts or heals. A line has
-the time in s after which a status named the fault, the time from the end of the fault to the last
-status with a warning or an error, and the largest deviation of N of an axis from the truth in
-percent, which the monitor published at the end. The goals are the goals of bench_faults.py, and
-N must be right within 3 %.
+The cells of the table of bench_faults.py are drawn at random. The line of a cell states the time
+in s until a status named the fault, the time in s from the end of the fault to the last status
+with a warning or an error, and the largest error of the published N of an axis in percent. The
+limits are the limits of bench_faults.py, and 3 % for N.
 """
 
 from __future__ import annotations
@@ -44,11 +43,11 @@ from online_nodes import Client, node
 from allan_ros.core.imu import AXES, ImuBatch
 
 FIRST_DOMAIN, DOMAINS = 40, 60
-"""First ROS domain of the cells, and their number: cells that run at the same time share none."""
+"""First ROS domain that is used, and number of domains. Cells that run together share no domain."""
 
 
 def shown(client: Client) -> tuple[set[str], list[str], str]:
-    """Return the ids of all findings, the texts of all warnings and errors, and the state."""
+    """Return the ids of all findings, the texts of all warnings and errors, and the input state."""
     ids, troubles, state = set(), [], ''
     for name, status in client.statuses.items():
         for pair in status.values:
@@ -66,14 +65,14 @@ def largest_error(client: Client) -> float:
     found = []
     truths = np.sqrt(SIGMA**2 + LSB**2 / 12) / RATE**0.5
     for axis, truth in zip(AXES, truths):
-        text = client.value(axis.replace('_', ' '), 'N [')  # in SI
+        text = client.value(axis.replace('_', ' '), 'N [')  # the first value of N is in SI
         if text and text[0].isdigit():
             found.append(float(text) / truth - 1.0)
     return 100.0 * max(map(abs, found), default=float('nan'))
 
 
 def cell(name: str, at_boot: bool, lasts_s: int | None, seed: int) -> str:
-    """Publish one fault to a monitor, and return what the statuses showed."""
+    """Publish messages with a fault to a monitor, and return a line about its statuses."""
     from allan_ros.readers.cdr import encode_imus
 
     fault = FAULTS[name]
@@ -107,21 +106,21 @@ def cell(name: str, at_boot: bool, lasts_s: int | None, seed: int) -> str:
     parts = [f'named {named:4.0f} s' if can_be_named else 'named    –  ']
     if lasts_s:
         parts += [f'healed {max(0.0, ill - end_s):4.0f} s', f'N {error:4.1f} %']
-    in_time = not can_be_named or named <= NAMED_S + 1.0  # a status is shown once a second
+    in_time = not can_be_named or named <= NAMED_S + 1.0  # statuses have a period of 1 s
     heals = not lasts_s or (ill <= end_s + HEALED_S and error <= 100.0 * RIGHT)
     left = '; '.join(f'{text} ({count} s)' for text, count in said.most_common(2))
     return '  '.join([*parts, 'ok' if in_time and heals else 'MISSED', left])
 
 
 def since_now(messages: Messages) -> Messages:
-    """Return the messages with stamps that begin now, except for stamps that are far from them."""
+    """Return the messages with their stamps shifted to the present; faulty stamps are kept."""
     shift = time.time_ns() - START_NS
     near = np.abs(messages.stamps - START_NS) < 10**14
     return replace(messages, stamps=messages.stamps + shift * near)
 
 
 def main() -> None:
-    """Print a line for each cell."""
+    """Run cells in separate processes, and print a line for each."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawTextHelpFormatter
     )

@@ -1,18 +1,18 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Consistency of filters that use what is exported: NEES, outages, error growth, bias intervals.
+"""Consistency of state estimators with exported parameters: NEES, outages, growth of the error.
 
     python bench/bench_filters.py nees                  24 axes per sensor, about 5 min
     python bench/bench_filters.py nees --sensors x z --axes 8
-    python bench/bench_filters.py growth                shared ADIS16405 units, about 1 min
+    python bench/bench_filters.py growth                shared ADIS16405 recordings, 1 min
     python bench/bench_filters.py bias                  coverage of the bias interval, 5 min
     python bench/bench_filters.py gtsam                 a factor graph in rest and motion, 2 min
     python bench/bench_filters.py figure                docs/images/filter_growth.png
 
-Each sensor is simulated for two hours and analyzed. A filter of attitude and bias with its exported
-numbers then runs on other records of the same sensor, with an attitude measurement of 0.1 deg per
-second. The simulators, the filter and the measures are in `reality.py`, which shares no code
-with this package; it is looked for in $ALLAN_ROS_SHARED/oracle or ../shared/oracle.
+Each sensor is simulated for two hours and analyzed. A filter with two states, attitude and bias,
+gets the exported parameters and runs on other records of the sensor. Once a second, it receives an
+attitude measurement with an error of 0.1 deg. The simulators and the filter are in `reality.py`,
+which shares no code with this package, in $ALLAN_ROS_SHARED/oracle or ../shared/oracle.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ WINDOW_S = 100.0
 
 
 def oracle() -> dict[str, Any]:
-    """Import the independent simulator and filter; exit with a message if they do not exist."""
+    """Return the functions of `reality.py`; print a message and exit if this file is missing."""
     path = SHARED / 'oracle' / 'reality.py'
     if not path.is_file():
         print('skipped: no shared data')
@@ -73,14 +73,14 @@ SENSORS: dict[str, tuple[str, dict[str, float], tuple[tuple[float, float], ...],
     'gm3': ('Gauss-Markov 3 + 30 + 300 s', N_X, ((9.0, 3.0), (6.0, 30.0), (6.0, 300.0)), SECONDS),
     'x5': ('5 min of X', TABLE1['x'], (), 300),
 }
-"""Name -> title, five terms in SI, Gauss-Markov processes in deg/h and s, length of the record in
-s."""
+"""Name -> title, noise terms in SI, Gauss-Markov processes, and duration in s of the record that is
+analyzed. A process is given by its standard deviation in deg/h and its correlation time in s."""
 
 
 def draw(
     name: str, seconds: int, rng: np.random.Generator, axes: int, rate: float = RATE
 ) -> tuple[Any, Any]:
-    """Return the white noise and the complete noise of a sensor, (n, axes) each."""
+    """Return the white noise and the complete noise of a sensor, (n, axes) each, in SI."""
     _, terms, processes, _ = SENSORS[name]
     n, dt = round(seconds * rate), 1.0 / rate
     white = REALITY['white_noise'](n, dt, terms['N'], rng, axes)
@@ -91,12 +91,12 @@ def draw(
 
 
 def analyzed(samples: Any) -> ar.Results:
-    """Return the results of samples at rest, (n, 3), as gyro and as accelerometer."""
+    """Return the results of samples at rest, (n, 3), used for both gyro and accelerometer."""
     return ar.analyze(np.hstack([samples, samples]), rate=RATE, motion_gate=False, skip=0.0)
 
 
 def exported(results: ar.Results, axis: str) -> dict[str, dict[str, Any]]:
-    """Return the filter models of one axis: N and K as measured, raised K, state space."""
+    """Return the exported models of an axis: N and K as measured, raised K, and state space."""
     models = {}
     for name, fidelity in (('N, K as measured', 'coefficients'), ('N, raised K', 'reduction')):
         read: dict[str, Any] = {}
@@ -111,7 +111,7 @@ def exported(results: ar.Results, axis: str) -> dict[str, dict[str, Any]]:
 
 
 def nees(names: list[str], axes: int) -> None:
-    """Print NEES and outage ratios of each sensor and export."""
+    """Print NEES and outage ratios of the filter, for each sensor and each exported model."""
     for name in names:
         began, title = time.monotonic(), SENSORS[name][0]
         rng = np.random.default_rng(20 + list(SENSORS).index(name))
@@ -133,7 +133,7 @@ def nees(names: list[str], axes: int) -> None:
 
 
 def units() -> dict[str, Any]:
-    """Return the samples of the shared ADIS16405 units, (n, 6) each."""
+    """Return the samples of the shared ADIS16405 recordings: name of the IMU -> (n, 6)."""
     folder = SHARED / 'data' / 'adis16405'
     load = runpy.run_path(str(folder / 'load.py'))['load']
     names = sorted(path.stem.removesuffix('_counts') for path in folder.glob('*_counts.npz'))
@@ -141,19 +141,20 @@ def units() -> dict[str, Any]:
 
 
 SETTLED_HOURS = {'imu1': 1.1, 'imu2': 1.1, 'imu4': 1.45}
-"""Start of the settled part in h: the units drift for an hour, and imu4 has shocks until 1.43
-h."""
+"""Name of the IMU -> start of the settled part of its recording in h. All three IMUs drift for an
+hour, and imu4 has shocks until 1.43 h."""
 
 BAND_RECORDS = 200
-"""Number of simulated records that determine the band of the measured growth."""
+"""Number of simulated records from which `_growth_band` computes a band."""
 
 
 def growth() -> None:
-    """Print predicted over actual growth of the integral on the settled part of real recordings.
+    """Print the ratio of the predicted to the actual error growth on real recordings.
 
-    The brackets contain the 95 % band of the ratio for a sensor that matches the model, widened by
-    the interval of the prediction. (The record contains few independent intervals of 300 s.) A
-    ratio outside 0.8 to 1.25 is marked by * within this band and by ! outside.
+    The parentheses contain the 95 % band of the ratio for a sensor that matches the model, widened
+    by the interval of the prediction. The band is wide, because a recording contains few
+    independent intervals of 300 s. A ratio outside 0.8 to 1.25 is marked by * if it lies within
+    the band, else by !.
     """
     for name, samples in units().items():
         settled = samples[round(SETTLED_HOURS[name] * 3600 * RATE) :]
@@ -172,8 +173,9 @@ def growth() -> None:
 
 
 def _growth_band(axis: ar.AxisResult, seconds: float) -> list[tuple[float, float]]:
-    """Return the 95 % band of predicted over actual growth at `GROWTH_S` for records of this
-    length.
+    """Return the 95 % band of predicted over actual growth for each horizon in `GROWTH_S`.
+
+    The band is for records of this duration in s, simulated from the fitted model.
     """
     model = axis.fit.model
     known = {growth.horizon: growth for growth in axis.growth if growth.window == WINDOW_S}
@@ -192,8 +194,8 @@ def _growth_band(axis: ar.AxisResult, seconds: float) -> list[tuple[float, float
         ]
         low, high = np.log(np.quantile(ratios, [0.025, 0.975]))
         if (growth := known.get(horizon)) is not None and growth.std.ci95 is not None:
-            # errors of the measurement and of the prediction (an excess of the prediction lowers
-            # the ratio)
+            # The upper end of the predicted interval widens the band downward: if the true growth
+            # is at this upper end, the ratio is below 1.
             below, above = np.log(np.array(growth.std.ci95) / growth.std.value)
             low, high = min(low, 0.0), max(high, 0.0)
             low, high = -np.hypot(low, above), np.hypot(high, below)
@@ -202,11 +204,11 @@ def _growth_band(axis: ar.AxisResult, seconds: float) -> list[tuple[float, float
 
 
 BIAS_RATE = 10.0
-"""Rate in Hz of the records of `bias`, whose input are means over 1 s."""
+"""Sample rate in Hz of the records that `bias` simulates."""
 
 
 def bias(records: int) -> None:
-    """Print the coverage of the 95 % interval of the bias."""
+    """Print how often the 95 % interval of the estimated bias contains the true bias."""
     for name in ('x', 'y', 'z'):
         covered: list[float] = []
         for record in range(records):
@@ -221,7 +223,7 @@ def bias(records: int) -> None:
 
 
 def _bias_hits(axis: ar.AxisResult, samples: Any, white: Any, every: int) -> list[bool]:
-    """Return whether the bias of the next 10 s is in its interval, tested every ``every`` s."""
+    """Return whether the interval contains the bias of the next 10 s, once in ``every`` seconds."""
     seconds = len(samples) // round(BIAS_RATE)
     means, drift = (
         values.reshape(seconds, -1).mean(axis=1) for values in (samples, samples - white)
@@ -237,19 +239,19 @@ def _bias_hits(axis: ar.AxisResult, samples: Any, white: Any, every: int) -> lis
 
 
 GRAPH_S, GRAPH_RUNS = 150, 12
-"""Length of a trajectory of the graph, and number of trajectories."""
+"""Duration of a trajectory in s, and number of trajectories, with which GTSAM is tested."""
 
 TURN_RATE, TURN_START, TURN_END = 0.2, 50, 100
-"""Turn rate in rad/s about z, and start and end of the turn in s; before and after it the platform
-rests."""
+"""Turn rate about z in rad/s, and start and end of the turn in s. Before and after the turn, the
+platform is at rest."""
 
 
 def graph(runs: int) -> None:
-    """Print the NEES of attitude and gyro bias of GTSAM with N and K as measured and with raised K.
+    """Print the NEES of attitude and gyro bias in GTSAM, with K as measured and with raised K.
 
-    A graph has one pose per second, CombinedImuFactors between them, and a measurement of every
-    pose with 0.1 deg and 1 cm. The estimates of every tenth second after the first 60 s are
-    compared.
+    A factor graph has a pose for each second, a CombinedImuFactor between successive poses, and a
+    measurement of each pose with errors of 0.1 deg and 1 cm. From 60 s on, every tenth pose is
+    compared with the truth.
     """
     import gtsam
 
@@ -272,10 +274,10 @@ def graph(runs: int) -> None:
 
 
 def _graph_nees(gtsam: Any, params: Any, noise: Any, drift: Any) -> float:
-    """Return the mean NEES of one trajectory.
+    """Return the mean NEES of attitude and gyro bias in one trajectory.
 
-    ``noise`` (n, 6) are samples without motion, and ``drift`` is the part of them that is the
-    bias.
+    ``noise``, (n, 6), is the noise of the samples in SI, and ``drift``, (n, 6), the bias that is
+    contained in this noise.
     """
     x, v, b = (lambda i, c=c: gtsam.symbol(c, i) for c in 'xvb')
     sigmas = np.array([0.1 * np.pi / 180.0] * 3 + [0.01] * 3)
@@ -320,7 +322,7 @@ def _graph_nees(gtsam: Any, params: Any, noise: Any, drift: Any) -> float:
 
 
 def figure() -> None:
-    """Draw predicted and actual growth of the angle error for the three choices."""
+    """Draw the actual growth of the angle error, and the prediction of each exported model."""
     import matplotlib
 
     matplotlib.use('agg')
@@ -358,7 +360,7 @@ def figure() -> None:
 
 
 def main() -> None:
-    """Run one of the measurements."""
+    """Run the requested measurement."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     choices = ('nees', 'growth', 'bias', 'gtsam', 'figure')
     parser.add_argument('what', choices=choices, nargs='?', default='growth')

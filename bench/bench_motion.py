@@ -4,16 +4,12 @@
 
     bench_motion.py                          20 records of every case
     bench_motion.py 100 CASE ...             100 records of some cases
-    bench_motion.py recording FILE ...       recordings: the first drives predict the others
+    bench_motion.py recording FILE ...       real recordings: half of the drives predict the others
 
-Each record is analyzed as a user does it: the noise at rest is measured from its own rests. The
-first 20 of 30 drives give the factors, the others are predicted. A row has for gyro and
-accelerometer the ratio of the errors (median), how often the sensor is called worse in motion (the
-99 % interval lies above 1), the factor of N (median), how often its interval contains the true
-value, and how often K has a factor; how often each cause was named, and how often the intervals
-with all causes contain 1; and the mean square of the errors of the unused drives over its
-prediction with the noise at rest, with the factors, and with factors and causes (1 is right;
-medians).
+The first 20 of 30 simulated drives give the factors, and the noise at rest is measured in the same
+record. The columns are for each sensor the median factor of the error, how often the factor is
+significant (worse), the median factor of N, how often its interval contains the truth, and how
+often K has a factor; then the causes, and the errors of the other drives over three predictions.
 """
 
 from __future__ import annotations
@@ -46,13 +42,13 @@ GOOD = Model.of(N=4e-6, B=5e-7, K=5e-8), Model.of(N=3e-4, B=5e-5, K=5e-6)
 
 
 class Case(NamedTuple):
-    """A simulated robot and IMU, with the true factors of N; None if there is none."""
+    """A simulated robot and IMU, with the true factors of N; None for errors that are not noise."""
 
     route: dict[str, Any] = {}  # noqa: RUF012
     errors: dict[str, Any] = {}  # noqa: RUF012
     true: tuple[float | None, float | None] = (1.0, 1.0)
     imu: tuple[Model, Model] = MEMS
-    bench_s: float = 0.0  # duration of a recording at rest before
+    bench_s: float = 0.0  # duration in s of a separate recording at rest
 
 
 CASES = {
@@ -83,14 +79,14 @@ CASES = {
 
 
 class Outcome(NamedTuple):
-    """Result of one record; ``errors`` are squared errors of unused drives over predictions."""
+    """Factors from the first drives, and the errors of the other drives over three predictions."""
 
     motion: NoiseInMotion
     errors: tuple[float, float, float]
 
 
 def one_record(name: str, seed: int) -> Outcome:
-    """Simulate one record, and measure the factors from the first 20 drives."""
+    """Simulate a record, measure the factors in the first drives, and predict the other drives."""
     case = CASES[name]
     gyro, accel = ([model] * 3 for model in case.imu)
     route = Route(**{'drives': 30, **case.route})
@@ -113,13 +109,13 @@ def one_record(name: str, seed: int) -> Outcome:
 
 
 def batch(samples: np.ndarray) -> ImuBatch:
-    """Return samples (n, 6) with stamps."""
+    """Return samples, (n, 6), with evenly spaced stamps."""
     stamps = START_NS + np.arange(len(samples)) * round(1e9 / RATE)
     return ImuBatch(stamps.astype(np.int64), samples)
 
 
 def drives_of(robot: SimulatedDrives) -> list[DriveErrors]:
-    """Return the drives of a record, which begin and end 0.5 and 2.5 s into the rests."""
+    """Return the errors of the drives, integrated from 0.5 s before to 2.5 s after each drive."""
     gyro, accel = robot.samples[:, :3], robot.samples[:, 3:]
     margins = round(0.5 * RATE), round(2.5 * RATE)
     edges = [0, *(at + m * s for d in robot.drives for at, m, s in zip(d, margins, (-1, 1)))]
@@ -137,7 +133,7 @@ def drives_of(robot: SimulatedDrives) -> list[DriveErrors]:
 
 
 def row(name: str, found: list[Outcome]) -> str:
-    """Return the row of a case."""
+    """Return the row of a case in the table."""
     motions, cells = [each.motion for each in found], [f'{name:39s}']
     for sensor, true in zip(('gyro', 'accel'), CASES[name].true):
         each = [one.sensors[sensor] for one in motions]
@@ -167,9 +163,10 @@ def row(name: str, found: list[Outcome]) -> str:
 
 
 def show_recordings(paths: list[str]) -> None:
-    """Print the factors of recordings of one IMU, and the errors of the second half of the drives.
+    """Print the factors in recordings of one IMU, and how well half of the drives predict the rest.
 
-    The first half is used again: it gives the factors and causes of the prediction.
+    The factors are printed for all drives, and for the first half, which predicts the errors of
+    the second half.
     """
     results = ar.analyze(paths if len(paths) > 1 else paths[0])
     assert results.recorded is not None
@@ -192,14 +189,14 @@ def show_recordings(paths: list[str]) -> None:
 
 
 def show(motion: NoiseInMotion) -> None:
-    """Print factors and causes."""
+    """Print the factors of each sensor and the causes."""
     for name, one in motion.sensors.items():
         print(f'  {name} {one.factor}, raised {dict(one.raised)}, with causes {one.explained}')
     print('  causes', [cause.name for cause in motion.causes])
 
 
 def main(records: int, cases: list[str]) -> None:
-    """Print the table."""
+    """Simulate the records of each case, and print the table."""
     print(f'{records} records, 20 drives each')
     with ProcessPoolExecutor(1) as pool:
         for case in cases:

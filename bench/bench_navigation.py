@@ -1,16 +1,14 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Consistency of the inertial navigation of pyins on a robot that drives and stops.
+"""Consistency of an inertial navigation filter (pyins) on a robot that drives and stops.
 
     python bench/bench_navigation.py [RECORDS]     8 records, about 20 min
 
-Needs the extra "consumers" (python-ins). A recording of 20 drives is analyzed. The error-state
-Kalman filter of pyins then runs on 10 other drives with the exported numbers, and receives nothing
-but a velocity of 0 in the rests. Its state at the end of the last 8 drives is compared with the
-truth: the NEES is the squared error over the predicted variance, of the velocity (3 numbers, the
-first measurement after the drive) and of roll and pitch. 1 is right. The exports are the noise at
-rest, the noise in motion (--motion), and the noise at rest with states for the matrix of scale
-factors and misalignments of the gyro.
+A recording of 20 drives is analyzed. With the exported noise, the filter runs on 10 more drives,
+and receives a velocity of 0 at the rests. After each of the last 8 drives, the NEES of the velocity
+and of roll and pitch is computed; 1 is right. The noise is exported as at rest, with --motion, and
+as at rest with additional states for the matrix of scale factors and misalignments of the gyro. The
+package `python-ins` is needed (extra "consumers").
 """
 
 from __future__ import annotations
@@ -36,41 +34,42 @@ CASES: dict[str, dict[str, float]] = {
 EXPORTS = ('at rest', 'in motion', 'at rest, with calibration states')
 
 USED, LEARNING, TESTED = 20, 2, 8
-"""Drives that are analyzed, in which the filter learns the biases, and in which it is tested."""
+"""Number of drives that are analyzed, that teach the filter the biases, and that are tested."""
 
 BIAS_SD = 1e-3, 0.03
-"""Initial standard deviation of the bias of gyro (rad/s) and accelerometer (m/s^2)."""
+"""Initial standard deviations of the biases of gyro (rad/s) and accelerometer (m/s^2)."""
 
 MATRIX_SD = 0.005
-"""Initial standard deviation of scale factors and misalignments of the gyro."""
+"""Initial standard deviation of scale factors (relative) and misalignments (rad) of the gyro."""
 
 LEVEL_SD, AZIMUTH_SD, VELOCITY_SD = 0.1, 0.5, 0.01
-"""Initial standard deviations in deg and m/s."""
+"""Initial standard deviations of roll and pitch (deg), heading (deg) and velocity (m/s)."""
 
 ZUPT_SD, ZUPT_S, MARGIN_S = 0.005, 0.5, 0.5
-"""Standard deviation of a measured velocity in m/s, its period, and the time in s to each drive."""
+"""Standard deviation of the velocity measurements at rest in m/s, their period in s, and time in s
+between a drive and the nearest measurement."""
 
 LATITUDE, ALTITUDE = 48.0, 735.0
-"""Place where gravity is 9.80665 m/s^2, in deg and m."""
+"""Latitude in deg and altitude in m of a place where gravity is 9.80665 m/s^2."""
 
 TO_NED = np.array([1.0, -1.0, -1.0])
-"""Forward, left, up to forward, right, down."""
+"""Factors that turn axes forward, left, up into axes forward, right, down."""
 
 
 class Nees(NamedTuple):
-    """NEES of one record."""
+    """NEES of the velocity and of roll and pitch, averaged over the tested drives of a record."""
 
     velocity: float
     tilt: float
 
 
 def increments(robot: SimulatedDrives, begin: int) -> Any:
-    """Return the increments of pyins of the samples from an index on."""
+    """Return the samples from index ``begin`` on as increments (integrals) for pyins."""
     import pandas as pd
     from pyins import strapdown
 
     samples = robot.samples[begin:] * np.tile(TO_NED, 2) / RATE
-    rows = np.concatenate([samples[:1], samples])  # each row is the integral since the row before
+    rows = np.concatenate([samples[:1], samples])  # a row is the integral from the previous row
     time = pd.Index((begin + np.arange(len(rows))) / RATE, name='time')
     columns = [f'{sensor}_{axis}' for sensor in ('gyro', 'accel') for axis in 'xyz']
     imu = pd.DataFrame(rows, index=time, columns=columns)
@@ -78,7 +77,7 @@ def increments(robot: SimulatedDrives, begin: int) -> Any:
 
 
 def models(results: ar.Results, export: str) -> list[Any]:
-    """Return the sensor models of pyins from an exported file."""
+    """Return the models of gyro and accelerometer for pyins, from an exported file."""
     from pyins.inertial_sensor import EstimationModel
 
     read: dict[str, Any] = {}
@@ -91,7 +90,7 @@ def models(results: ar.Results, export: str) -> list[Any]:
 
 
 def navigate(robot: SimulatedDrives, results: ar.Results, export: str, seed: int) -> Nees:
-    """Run the filter in the last drives, and compare its state at their ends with the truth."""
+    """Run the filter in the drives that were not analyzed, and return its NEES."""
     import pandas as pd
     from pyins import filters, measurements
 
@@ -137,7 +136,7 @@ def navigate(robot: SimulatedDrives, results: ar.Results, export: str, seed: int
 
 
 def main(records: int) -> None:
-    """Print the table."""
+    """Simulate the records of each case, and print the table of the median NEES."""
     print('| errors of the IMU in motion | ' + ' | '.join(EXPORTS) + ' |')
     print('|---' * (len(EXPORTS) + 1) + '|')
     for name, errors in CASES.items():

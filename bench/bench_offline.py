@@ -1,13 +1,14 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""CPU time and memory from a bag to its Allan table, and the lower bounds of the readers.
+"""CPU time and memory to compute the Allan deviations of a bag, compared with other readers.
 
     python bench/bench_offline.py           720,000 messages (1 h at 200 Hz), some minutes
     python bench/bench_offline.py --full    7.2 M messages too (10 h at 200 Hz), several minutes
     python bench/bench_offline.py --keep DIR    keep the bags there and reuse them
 
-CPU is user and system time of the process that does the work. Every figure is a median of rounds
-that run all methods one after the other, so a busy machine affects all of them alike.
+CPU time is the user and system time of the process that is measured. Each number is a median of
+several rounds. A round runs all programs one after the other, so that a busy machine affects all of
+them.
 """
 
 from __future__ import annotations
@@ -32,19 +33,19 @@ os.environ.update(OPENBLAS_NUM_THREADS='1', PYTHONPATH=str(ROOT))
 RATE_HZ = 200.0
 MINUTE, SHORT, LONG = 12_000, 720_000, 7_200_000
 PLAIN = 100_000
-"""Number of messages of the bag for the plain reader, which takes 10 us and more per message."""
+"""Number of messages in the bag for `plain`, which takes at least 10 us per message."""
 CHUNK_HEAD = 8 + 8 + 8 + 4 + 4 + 4 + 8
-"""Bytes before the data of a chunk: times, size, CRC, 'zstd' with its length, length of the data.
-"""
+"""Bytes before the compressed data of an mcap chunk: two times, size, CRC, the name of the
+compression ('zstd') with its length, and the length of the data."""
 RECORDINGS = 2
-"""Number of recordings that are read in sequence and in parallel."""
+"""Number of recordings that are read one after the other, and in parallel."""
 MESSAGE_BYTES = 31 + 324
-"""Bytes of an Imu message in a chunk: header and payload (frame_id ``imu_link``)."""
+"""Bytes of an Imu message with the frame_id ``imu_link`` in an mcap chunk: header and payload."""
 STORAGES = {'mcap zstd': ('mcap', 'storage'), 'sqlite3': ('sqlite3', 'none')}
 
 
 def bag(folder: Path, name: str, messages: int) -> Path:
-    """Return a simulated bag of this storage and length; an existing one is reused."""
+    """Return a simulated bag of a storage in `STORAGES`; a bag that exists is reused."""
     from allan_ros.core.noise import Model
     from allan_ros.core.simulator import simulate_imu
     from fuzz.reading import write_bag
@@ -59,7 +60,7 @@ def bag(folder: Path, name: str, messages: int) -> Path:
 
 
 def table(path: Path) -> int:
-    """Read a bag to its Allan table."""
+    """Compute the Allan deviations of a bag, and return the number of samples."""
     from allan_ros.core.stream.pipeline import ImuStream
     from allan_ros.readers import open_recordings
 
@@ -73,7 +74,7 @@ def table(path: Path) -> int:
 
 
 def read(path: Path) -> int:
-    """Read a bag to arrays of samples."""
+    """Read a bag into arrays of samples, and return the number of samples."""
     from allan_ros.readers import open_recordings
 
     (recording,) = open_recordings([path])
@@ -81,7 +82,7 @@ def read(path: Path) -> int:
 
 
 def plain(path: Path) -> int:
-    """Read a bag message by message with rosbags, as in the documentation of rosbags."""
+    """Read a bag message by message, as the documentation of rosbags shows; return their number."""
     from rosbags.highlevel import AnyReader
 
     messages = 0
@@ -93,8 +94,9 @@ def plain(path: Path) -> int:
 
 
 def floor(path: Path) -> int:
-    """Do the least work that any reader must do: decompress the chunks, or step SQLite over all
-    rows.
+    """Do the least work of any reader of a bag, and return the number of messages.
+
+    The chunks of mcap are decompressed, and SQLite steps over all rows.
     """
     from zstandard import ZstdDecompressor
 
@@ -124,8 +126,9 @@ WORK: dict[str, Callable[[Path], int]] = {
 
 
 def measured(work: str, path: Path) -> tuple[float, int, float]:
-    """Run ``work`` in its own process; return its CPU time in s, its messages, its peak memory
-    in MB.
+    """Run a function of `WORK` in a separate process, and return what the run costs.
+
+    Returns CPU time in s, number of messages, and largest memory in MB.
     """
     command = [sys.executable, __file__, '--work', work, str(path)]
     cpu, messages, memory = subprocess.run(
@@ -135,7 +138,7 @@ def measured(work: str, path: Path) -> tuple[float, int, float]:
 
 
 def work_here(work: str, path: Path) -> None:
-    """Do the work and print its cost without imports."""
+    """Run a function of `WORK`, and print what `measured` returns, without the time of imports."""
     import allan_ros.core.stream.pipeline
     import allan_ros.readers.rosbag2  # noqa: F401
 
@@ -148,7 +151,7 @@ def work_here(work: str, path: Path) -> None:
 
 
 class Reading(NamedTuple):
-    """CPU time in us of reading a message: medians, and the ratio of the plain reader to ours."""
+    """Median CPU time in us for reading a message, and the ratio of `plain` to `read`."""
 
     floor: float
     ours: float
@@ -157,7 +160,7 @@ class Reading(NamedTuple):
 
 
 def reading(folder: Path, name: str, rounds: int) -> Reading:
-    """Compare the readers of one storage in alternating rounds."""
+    """Measure the readers of one storage in alternating rounds."""
     long, short = bag(folder, name, SHORT), bag(folder, name, PLAIN)
     costs: dict[str, list[float]] = {'floor': [], 'read': [], 'plain': []}
     for _ in range(rounds):
@@ -170,7 +173,7 @@ def reading(folder: Path, name: str, rounds: int) -> Reading:
 
 
 class Table(NamedTuple):
-    """CPU time in s from a bag to its Allan table, without and as a multiple of the floor."""
+    """CPU time in s of `table`, its excess in s over the CPU time of `floor`, and their ratio."""
 
     cpu: float
     over: float
@@ -179,7 +182,7 @@ class Table(NamedTuple):
 
 
 def to_table(path: Path, rounds: int) -> Table:
-    """Measure a bag to its Allan table and the floor in alternating rounds."""
+    """Measure `table` and `floor` for a bag in alternating rounds."""
     runs = [(measured('table', path), measured('floor', path)) for _ in range(rounds)]
     return Table(
         statistics.median(run[0] for run, _ in runs),
@@ -199,7 +202,7 @@ def show_reading(folder: Path, rounds: int) -> None:
 
 
 def show_table(folder: Path, sizes: list[int], rounds: int) -> None:
-    """Print the cost up to the Allan table, also without the cost of the floor."""
+    """Print CPU time and memory of `table`, and its excess over the CPU time of `floor`."""
     print('\n| bag to Allan table | messages | CPU, s | over the floor, s | peak, MB |')
     print('|---|---|---|---|---|')
     for messages in sizes:
@@ -210,7 +213,7 @@ def show_table(folder: Path, sizes: list[int], rounds: int) -> None:
 
 
 def spread(path: Path, processes: int) -> None:
-    """Read a bag `RECORDINGS` times in parallel, as ``allan analyze --jobs`` does."""
+    """Read a bag `RECORDINGS` times in ``processes``, as ``allan analyze --jobs`` does."""
     from allan_ros.readers.recorded import ReadJob, read_in_processes, read_in_turn
 
     jobs = [ReadJob(str(path))] * RECORDINGS
@@ -237,7 +240,7 @@ def show_jobs(folder: Path, messages: int, rounds: int) -> None:
 
 
 def children_cpu(command: list[str]) -> float:
-    """Return the CPU time in s of a command."""
+    """Run a command, and return its CPU time in s."""
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     subprocess.run(command, check=True, capture_output=True)
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
@@ -253,9 +256,7 @@ def command_cpu(words: list[str], rounds: int) -> float:
 
 
 def show_analysis(folder: Path, rounds: int) -> None:
-    """Print the cost of a complete analysis of one minute, where the cost of reading is
-    negligible.
-    """
+    """Print the CPU time of a complete analysis of one minute of data, which is read quickly."""
     print('\n| one analysis of 60 s | CPU, s |')
     print('|---|---|')
     path = str(bag(folder, 'mcap zstd', MINUTE))

@@ -1,12 +1,13 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Cost of the nodes over real DDS: CPU per message, messages lost in bursts, memory.
+"""Cost of the nodes with real DDS: CPU time per message, messages lost in bursts, memory.
 
     python bench/bench_online.py             CPU and bursts, about 5 min
     python bench/bench_online.py memory 600  memory during 600 s at 4 kHz
 
-CPU is compared within one run with an empty raw subscriber on the same topic, so a busy machine
-changes little. The monitor is measured between two fits.
+The CPU time is compared with the CPU time of a subscriber that does nothing, in the same run and on
+the same topic. A busy machine therefore changes the ratio little. The monitor is measured between
+two fits.
 """
 
 from __future__ import annotations
@@ -25,19 +26,19 @@ from allan_ros.readers.cdr import encode_imus
 
 RATES_HZ = (200, 1000, 4000)
 SETTLE_S = 5.0
-"""Time in s after the first fit of the monitor, which takes up to a minute on a busy machine."""
+"""Time in s between the first fit of the monitor and the measurement."""
 LONGEST_S = 600.0
-"""Longest time in s for which the player plays; it is ended before."""
+"""Duration in s of the simulated recording, which is longer than a measurement."""
 MEASURE_S = 20.0
 ONE_FIT = ('estimator.growth:=10.0', 'publish.sums_period:=15.0')
-"""Parameters with which the second fit starts after the measurement."""
+"""Parameters that delay the second fit until after the measurement."""
 BURST, BURST_PERIOD_S, BURSTS = 400, 0.2, 150
 PATIENCE_S = 30.0
-"""Time in s to wait for a status that lags behind the messages."""
+"""Longest time in s to wait until the statuses count all messages."""
 
 
 def costs(client: Client, rate: int) -> list[float]:
-    """Return CPU in us per message of an empty raw subscriber, the accumulator and the monitor."""
+    """Return the CPU time in us per message of empty subscriber, accumulator and monitor."""
     client.spin(2.0)  # receive the remaining messages of earlier nodes
     client.statuses.clear()
     empty = Process('-c', EMPTY_SUBSCRIBER)
@@ -49,7 +50,7 @@ def costs(client: Client, rate: int) -> list[float]:
         while not client.message('gyro z').startswith('N '):
             client.spin(0.5)
         watched, age, cost = (empty, accumulator, monitor), 0.0, [0.0]
-        while age < MEASURE_S:  # until no fit is running during the measurement
+        while age < MEASURE_S:  # repeat if a fit ran during the measurement
             client.spin(SETTLE_S)
             before, began = [n.cpu_s() for n in watched], time.monotonic()
             client.spin(MEASURE_S)
@@ -61,7 +62,7 @@ def costs(client: Client, rate: int) -> list[float]:
 
 
 def cpu(client: Client) -> None:
-    """Print CPU per message of the accumulator, the monitor and an empty raw subscriber."""
+    """Print the CPU time per message of accumulator, monitor and empty subscriber at each rate."""
     print('CPU per message in microseconds, and its ratio to the empty subscriber')
     print(f'{"":>8} {"empty":>8} {"accumulator":>12} {"ratio":>6} {"monitor":>8} {"ratio":>6}')
     for rate in RATES_HZ:
@@ -74,7 +75,7 @@ def cpu(client: Client) -> None:
 
 
 def memory_after(client: Client, seconds: float, rate: int) -> float:
-    """Return the memory of the monitor in MB after some seconds of data."""
+    """Return the memory of the monitor in MB after a number of seconds with messages."""
     with node('monitor') as monitor, node('play', '--simulate', '600', '--frequency', str(rate)):
         while not int(client.value('input', 'received') or 0):
             client.spin(0.2)
@@ -83,7 +84,7 @@ def memory_after(client: Client, seconds: float, rate: int) -> float:
 
 
 def bursts(client: Client) -> None:
-    """Print the number of messages in bursts of 400 that arrive with the default QoS."""
+    """Print how many messages of bursts of 400 the monitor receives and loses with default QoS."""
     terms = [Model.of(N=5e-5)] * 3
     client.spin(2.0)
     client.statuses.clear()
@@ -99,7 +100,7 @@ def bursts(client: Client) -> None:
                     sent += 1
                 client.spin(due - time.monotonic())
         client.spin(1.0)
-        publisher.publish(bytes(payloads[-1]))  # its number reveals a loss at the end
+        publisher.publish(bytes(payloads[-1]))  # its sequence number reveals lost messages
         sent += 1
         counts = accounted(client, sent)
     shown = ', '.join(f'{count} {key}' for key, count in counts.items())
@@ -107,7 +108,7 @@ def bursts(client: Client) -> None:
 
 
 def accounted(client: Client, sent: int) -> dict[str, int]:
-    """Return the counts of the input once their sum is ``sent``, or after `PATIENCE_S`."""
+    """Return the counts in the input status once their sum is ``sent``, or after `PATIENCE_S`."""
     keys = ('received', 'lost on the way', 'sent before')
     counts: dict[str, int] = {}
     end = time.monotonic() + PATIENCE_S
@@ -118,7 +119,7 @@ def accounted(client: Client, sent: int) -> dict[str, int]:
 
 
 def memory(seconds: float) -> None:
-    """Print the memory of the monitor while it receives 4 kHz."""
+    """Print the memory of the monitor while it receives messages at 4 kHz."""
     client = Client()
     length = str(seconds + 10.0)
     with node('monitor') as monitor, node('play', '--simulate', length, '--frequency', '4000'):

@@ -1,16 +1,15 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Does a pushed gain make a filter worse? The Madgwick filter of the package ahrs in a loop.
+"""Effect of the gain that a push sets on the tilt error of a Madgwick filter (package `ahrs`).
 
     pip install ahrs
     python bench/bench_push.py --seeds 5
 
-A robot rests for two minutes, and then drives and rests 12 times. Its IMU is good or cheap (scale
-factors, misalignments, sensitivity to acceleration, more noise in motion) and has a bias. The
-samples pass the stream, the fit and the factors in motion as in a node, and give the gain. For each
-former gain, the table has the tilt error of the filter with the gain that is in the node afterwards
-over the error with the former one, in motion and at rest: the largest of the seeds. A dash marks a
-former gain that is left.
+A simulated robot rests for two minutes, and then drives and rests 12 times. Its IMU is good or
+cheap, and has a gyro bias. The gain is computed from the samples as in a node. The table states for
+each former gain the ratio of the tilt error with the pushed gain to the tilt error with the former
+gain, in motion and at rest (the largest ratio of all seeds). A dash means that the push keeps the
+former gain.
 """
 
 from __future__ import annotations
@@ -36,7 +35,7 @@ RATE = 50
 """Sample rate in Hz."""
 
 FORMER = (3e-4, 1e-3, 3e-3, 0.01, 0.03, 0.1)
-"""Gains in rad/s that an operator may have set."""
+"""Gains in rad/s that are in the node before the push."""
 
 BIAS = 1.5e-3
 """Standard deviation of the gyro bias in rad/s (0.09 deg/s)."""
@@ -62,7 +61,7 @@ IMUS = {
 
 
 def filtered(samples: np.ndarray, gain: float) -> np.ndarray:
-    """Return the quaternions of the filter, (n, 4)."""
+    """Return the attitudes that the filter estimates, as quaternions, (n, 4)."""
     madgwick = Madgwick(frequency=float(RATE), gain_imu=gain)
     out = np.empty((len(samples), 4))
     now = acc2q(samples[:RATE, 3:].mean(axis=0))
@@ -92,8 +91,12 @@ def rms_errors(samples: np.ndarray, gain: float, robot: SimulatedDrives) -> np.n
 
 @dataclass(frozen=True)
 class Push:
-    """What a push does: the gain in rad/s that is proposed, the factor of N of the gyro in motion,
-    and for each former gain that is replaced, the ratio of the errors in motion and at rest."""
+    """Result of one simulated push.
+
+    ``gain`` is the proposed gain in rad/s, and ``factor`` the factor of N of the gyro in motion.
+    ``ratios`` maps each former gain that is replaced to the ratios of the tilt errors, (2,): in
+    motion and at rest.
+    """
 
     gain: float
     factor: float
@@ -101,7 +104,7 @@ class Push:
 
 
 def proposed_gain(samples: np.ndarray) -> tuple[float, float]:
-    """Return the gain in rad/s for these samples, and the factor of N of the gyro in motion."""
+    """Return the gain in rad/s that a push proposes, and the factor of N of the gyro in motion."""
     stream = ImuStream(with_drives=True)
     stamps = 10**18 + np.arange(len(samples)) * (10**9 // RATE)
     stream.update(ImuBatch(stamps, samples))
@@ -115,7 +118,7 @@ def proposed_gain(samples: np.ndarray) -> tuple[float, float]:
 
 
 def run(route: Route, imu: MotionErrors, seed: int) -> Push:
-    """Simulate a robot, compute the gain, and run the filter with it and with each former gain."""
+    """Simulate a robot, compute the gain, and run the filter with this and each former gain."""
     quiet = [Model.of(N=1.5e-4, K=1e-5)] * 3, [Model.of(N=2e-3, K=1e-4)] * 3
     robot = simulate_drives(float(RATE), *quiet, route, imu, seed)
     bias = np.random.default_rng(seed + 99).normal(0, BIAS, 3)
@@ -128,7 +131,7 @@ def run(route: Route, imu: MotionErrors, seed: int) -> Push:
 
 
 def main() -> None:
-    """Print the table."""
+    """Simulate all robots and IMUs, and print the table."""
     formatter = argparse.RawTextHelpFormatter
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=formatter)
     parser.add_argument('--seeds', type=int, default=5)

@@ -1,12 +1,12 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Coverage of N and B of simulated recordings that pass through the complete stream.
+"""Coverage of the intervals of N and B, for simulated recordings with spikes and shocks.
 
     python bench/bench_recordings.py                        all scenarios, 96 axes each
     python bench/bench_recordings.py shocks_20 --axes 24    one scenario
 
-Each recording has six axes and lasts 15 min at 50 Hz. Unlike `bench_accuracy.py`, the samples pass
-the motion gate, so that spikes and shocks are replaced as in a real recording.
+Each recording has six axes and lasts 15 min at 50 Hz. Unlike in `bench_accuracy.py`, the samples
+pass the motion gate, and spikes and shocks are replaced as in a real recording.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ from allan_ros.core.simulator import LEVEL, PRESETS, simulate_axis
 
 RATE, SECONDS = 50.0, 900.0
 SHOCK_S = 0.2
-"""Duration of a shock: a decaying oscillation of 8 Hz."""
+"""Duration in s of a shock, which is a decaying oscillation of 8 Hz."""
 
 SHOCK_SIZES = 20.0, 200.0
-"""Smallest and largest amplitude of a shock in standard deviations of the white noise."""
+"""Smallest and largest amplitude of a shock, in standard deviations of the white noise."""
 
 SCENARIOS = {
     'clean': {},
@@ -37,7 +37,7 @@ SCENARIOS = {
     'gauss_markov_4': {'time': 4.0},
     'gauss_markov_8': {'time': 8.0},
 }
-"""Number of shocks, or correlation time in samples of a Gauss-Markov process that is added."""
+"""Scenario -> number of shocks, or correlation time in samples of an added Gauss-Markov process."""
 
 TRUTH = {
     axis: Model.of(
@@ -48,7 +48,7 @@ TRUTH = {
 
 
 def recording(rng: np.random.Generator, shocks: int = 0, time: float = 0.0) -> np.ndarray:
-    """Return the samples of one recording, (n, axes)."""
+    """Return the samples of a simulated recording, (n, axes), in SI."""
     from scipy.signal import lfilter
 
     n = round(RATE * SECONDS)
@@ -69,7 +69,7 @@ def recording(rng: np.random.Generator, shocks: int = 0, time: float = 0.0) -> n
 
 
 def run(scenario: str, axes: int) -> str:
-    """Return a row of the table: coverage of N and B, mean error of N, processes found."""
+    """Return a row of the table: coverage of N and B, error of N, and processes that were found."""
     options = SCENARIOS[scenario]
     inside, off, found = {'N': 0, 'B': 0}, [], {'gauss_markov': 0, 'sinusoid': 0, 'resonance': 0}
     filtered = lack = number = 0

@@ -1,12 +1,12 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Cost of relaying a message over real DDS: latency, CPU, messages lost in bursts.
+"""Cost of relaying a message with real DDS: latency, CPU time, messages lost in bursts.
 
     python bench/bench_relay.py      about 2 min
 
-Latency is the time from just before publishing until another thread of this process has the bytes.
-"direct" is the same without a relay, so the difference is the cost of the relay. High values in the
-last columns indicate a busy machine.
+The latency is the time from the call of `publish` until another thread of this process receives the
+message. The rows "direct" are for messages that are not relayed. If the latency of "direct" is
+high, the machine is busy.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ OUT = 'imu/data_with_covariance'
 
 
 class Receiver:
-    """Receives a topic in its own thread and records the latencies."""
+    """Receives the messages of a topic in a separate thread, and records their latencies."""
 
     def __init__(self, client: Client, topic: str) -> None:
         from rclpy.impl.implementation_singleton import rclpy_implementation
@@ -76,7 +76,7 @@ class Receiver:
 
 
 def message() -> tuple[bytearray, str]:
-    """Return a serialized Imu message, and a noise model for its frame_id."""
+    """Return a serialized Imu message, and the JSON text of a noise model for its frame_id."""
     accumulator = ImuStream()
     for batch in simulate_imu(20.0, 200.0, SIMULATED, SIMULATED, seed=1):
         accumulator.update(batch)
@@ -87,7 +87,7 @@ def message() -> tuple[bytearray, str]:
 
 
 def send(publisher: Any, payload: bytearray, rate: float, seconds: float) -> int:
-    """Publish at a rate; each message is stamped with the monotonic clock."""
+    """Publish messages at a rate in Hz for a number of seconds, and return their number."""
     began, count = time.monotonic(), int(rate * seconds)
     for i in range(count):
         wait = began + i / rate - time.monotonic()
@@ -98,13 +98,13 @@ def send(publisher: Any, payload: bytearray, rate: float, seconds: float) -> int
 
 
 def publish(publisher: Any, payload: bytearray) -> None:
-    """Publish one message, stamped with the monotonic clock."""
+    """Publish one message, whose stamp is the time of the monotonic clock."""
     struct.pack_into('<iI', payload, 4, *divmod(time.monotonic_ns(), 10**9))
     publisher.publish(bytes(payload))
 
 
 def show(name: str, rate: int, latencies_ns: list[int], sent: int, cpu_us: float | None) -> None:
-    """Print one line of the table."""
+    """Print one line of the table: latencies, CPU time, and number of lost messages."""
     us = np.array(latencies_ns) / 1e3
     cpu = '' if cpu_us is None else f'{cpu_us:.0f}'
     print(
@@ -115,7 +115,7 @@ def show(name: str, rate: int, latencies_ns: list[int], sent: int, cpu_us: float
 
 
 def main() -> None:
-    """Run all measurements and print them."""
+    """Measure messages without relay, with the relay, and with the monitor as relay."""
     from rclpy.qos import DurabilityPolicy, QoSProfile
     from std_msgs.msg import String
 
@@ -158,7 +158,7 @@ def measure(
     receiver: Receiver,
     bursts: bool = False,
 ) -> None:
-    """Print latency and CPU of one process at each rate, and its losses in bursts."""
+    """Print latency and CPU time of a process at each rate, and its losses in bursts."""
     before = publisher.get_subscription_count()
     while publisher.get_subscription_count() == before:
         client.spin(0.1)

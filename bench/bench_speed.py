@@ -1,13 +1,13 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""One table of the speed: CPU times as ratios to others of the same run, and the goals.
+"""Speed and memory in one table, as ratios to other programs, with the goals.
 
     python bench/bench_speed.py            0.72 M messages, about 15 min
     python bench/bench_speed.py --full     7.2 M messages
     python bench/bench_speed.py sums read  some rows only
 
-Ratios compare programs that ran one after the other, so a busy machine affects both. Rows that need
-`$ALLAN_ROS_SHARED` or rclpy are left empty without them.
+A ratio compares two programs that run one after the other, so that a busy machine affects both. A
+row that needs `$ALLAN_ROS_SHARED` or rclpy is empty if this is missing.
 """
 
 from __future__ import annotations
@@ -29,16 +29,16 @@ import numpy as np
 SHARED = Path(os.environ.get('ALLAN_ROS_SHARED', offline.ROOT.parent / 'shared')) / 'data'
 
 IMPORTS = 'import numpy, scipy.linalg, scipy.special'
-"""What an analysis imports of numpy and scipy."""
+"""The modules of numpy and scipy that an analysis imports."""
 
 ADIS_SAMPLES = 250_000
-"""Samples of 42 min of the ADIS16405 at 100 Hz."""
+"""Number of samples of the ADIS16405 that are analyzed: 42 min at 100 Hz."""
 
 MONITOR_S, MONITOR_HZ = 60.0, 200
 
 
 class Setting(NamedTuple):
-    """Where files are written, how often a row is measured, and the number of messages."""
+    """Folder for files, number of rounds of a measurement, and number of messages of a bag."""
 
     folder: Path
     rounds: int
@@ -46,26 +46,26 @@ class Setting(NamedTuple):
 
 
 def table(setting: Setting) -> str:
-    """CPU from a bag to its table, as a multiple of the floor: mcap; sqlite3."""
+    """Return the CPU time of `offline.table` as a multiple of `offline.floor`: mcap; sqlite3."""
     bags = (offline.bag(setting.folder, name, setting.messages) for name in offline.STORAGES)
     return '; '.join(f'{offline.to_table(bag, setting.rounds).ratio:.1f}' for bag in bags)
 
 
 def sums(setting: Setting) -> str:
-    """CPU time of allantools, as a multiple of the CPU time of the sums."""
+    """Return the CPU time of allantools as a multiple of the CPU time of the Allan sums."""
     from bench_engine import compared
 
     return f'{compared(setting.rounds).ratio:.1f}'
 
 
 def read(setting: Setting) -> str:
-    """CPU time of AnyReader, as a multiple of the time of the readers: mcap; sqlite3."""
+    """Return the CPU time of AnyReader as a multiple of the readers of allan_ros: mcap; sqlite3."""
     ratios = (offline.reading(setting.folder, n, setting.rounds).ratio for n in offline.STORAGES)
     return '; '.join(f'{ratio:.0f}' for ratio in ratios)
 
 
 def analysis(setting: Setting) -> str:
-    """CPU time of an analysis with files, as a multiple of the time to import numpy and scipy."""
+    """Return the CPU time of ``allan analyze -o`` as a multiple of importing numpy and scipy."""
     minute = offline.bag(setting.folder, 'mcap zstd', offline.MINUTE)
     inputs = [minute]
     if (SHARED / 'adis16405').is_dir():
@@ -78,7 +78,7 @@ def analysis(setting: Setting) -> str:
 
 
 def slowest(setting: Setting) -> str:
-    """Longest CPU time of an analysis with files of the shared recordings, in s."""
+    """Return the longest CPU time in s of ``allan analyze -o`` for a shared recording."""
     if not SHARED.is_dir():
         return ''
     costs = {path.name: analyzed(setting.folder, path) for path in recordings(setting.folder)}
@@ -87,7 +87,10 @@ def slowest(setting: Setting) -> str:
 
 
 def nodes(setting: Setting) -> str:
-    """CPU of accumulator and monitor as multiples of an empty subscriber at 200 Hz, 1 and 4 kHz."""
+    """Return the CPU times of accumulator and monitor as multiples of an empty subscriber.
+
+    The rates are 200 Hz, 1 kHz and 4 kHz.
+    """
     if not find_spec('rclpy'):
         return ''
     from bench_online import RATES_HZ, costs
@@ -98,7 +101,7 @@ def nodes(setting: Setting) -> str:
 
 
 def memory(setting: Setting) -> str:
-    """Memory of the monitor in MB after a minute of data."""
+    """Return the memory of the monitor in MB after a minute of messages."""
     if not find_spec('rclpy'):
         return ''
     from bench_online import memory_after
@@ -107,7 +110,7 @@ def memory(setting: Setting) -> str:
 
 
 class Row(NamedTuple):
-    """A row of the table: what is measured, how, and the goal."""
+    """A row of the table: title, function that measures, and goal."""
 
     title: str
     measure: Callable[[Setting], str]
@@ -137,7 +140,7 @@ _clients: list[Any] = []
 
 
 def client() -> Any:
-    """Return the one client of the nodes."""
+    """Return the client of the nodes, which is created at the first call."""
     from online_nodes import Client
 
     if not _clients:
@@ -151,21 +154,21 @@ def imported() -> float:
 
 
 def analyzed(folder: Path, path: Path) -> float:
-    """Return the CPU time in s of ``allan analyze`` with files."""
+    """Return the CPU time in s of ``allan analyze -o`` for a recording."""
     out = folder / 'out'
     shutil.rmtree(out, ignore_errors=True)
     return offline.children_cpu([*offline.ALLAN, 'analyze', str(path), '-o', str(out)])
 
 
 def saved(path: Path, imu: np.ndarray) -> Path:
-    """Save samples, columns t, gyro, accelerometer, as a recording; an existing one is reused."""
+    """Save samples, (n, 7): t, gyro, accelerometer, as a recording; an existing file is kept."""
     if not path.exists():
         np.savez(path, imu=imu)
     return path
 
 
 def loader(folder: Path) -> Any:
-    """Return the function ``load`` of the file load.py in a folder."""
+    """Return the function `load` of the file load.py in a folder."""
     spec = spec_from_file_location('load', folder / 'load.py')
     assert spec is not None and spec.loader is not None
     module = module_from_spec(spec)
@@ -174,12 +177,12 @@ def loader(folder: Path) -> Any:
 
 
 def adis16405(name: str) -> np.ndarray:
-    """Return t, gyro and accelerometer of a unit of the ADIS16405, (n, 7)."""
+    """Return t, gyro and accelerometer of a recording of the ADIS16405, (n, 7)."""
     return np.asarray(loader(SHARED / 'adis16405')(name))
 
 
 def recordings(folder: Path) -> list[Path]:
-    """Return the shared recordings of at least 20 s with data at rest."""
+    """Return the paths of the shared recordings that have at least 20 s of data at rest."""
     found = [saved(folder / f'adis_{n}.npz', adis16405(f'imu{n}')) for n in (1, 2, 4)]
     load = loader(SHARED / 'static')
     for path in sorted((SHARED / 'static').glob('*.npz')):

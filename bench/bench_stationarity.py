@@ -1,10 +1,10 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Noise that changes with time: false alarms on clean records, and what is found.
+"""Tests for noise that changes with time: false alarms, and how often changes are found.
 
-python bench/bench_stationarity.py alarms --records 100    findings on clean records
-python bench/bench_stationarity.py gains --records 100     gains without effects
-python bench/bench_stationarity.py power --records 20      settling, steps and levels
+python bench/bench_stationarity.py alarms --records 100    findings in records without changes
+python bench/bench_stationarity.py gains --records 100     gains in likelihood in such records
+python bench/bench_stationarity.py power --records 20      records with warm-up, steps or more noise
 """
 
 from __future__ import annotations
@@ -33,18 +33,18 @@ Floats = NDArray[np.float64]
 HOUR = 3600
 DEG_H = from_datasheet('B', 'gyro', 1.0)
 TRUTH = {'Q': 0.138, 'N': 0.242, 'B': 5.237, 'K': 31.807, 'R': 76.242}
-"""Gyro X of table 1 of the paper."""
+"""Noise terms of gyro X in table 1 of Cong, Wang & Yan 2019, in datasheet units."""
 
 CLEAN = {'table 1 X': 'QNBKR', 'N': 'N', 'N + B': 'NB', 'N + K': 'NK'}
 
 EARLY = {'settling', 'not_settled'}
 LEVEL = {'level_changes', 'level_changed'}
 TESTS = (EARLY, {'bias_steps'}, LEVEL)
-"""Findings of each test."""
+"""Ids of the findings of each test: settling, steps, and level of the noise."""
 
 
 def gyro(terms: str) -> Model:
-    """Return the noise of gyro X with only the given terms."""
+    """Return a noise model with some of the terms of gyro X, such as 'NB'."""
     return Model.of(**{t: from_datasheet(t, 'gyro', TRUTH[t]) for t in terms})
 
 
@@ -63,20 +63,20 @@ def sums_of(y: Floats, rate: float = 1.0) -> AllanSums:
 
 
 def band(found: int, of: int) -> str:
-    """Return a share with its exact 95 % limits."""
+    """Return the share found / of as text, with its exact 95 % interval."""
     low = beta.ppf(0.025, found, of - found + 1) if found else 0.0
     high = beta.ppf(0.975, found + 1, of - found) if found < of else 1.0
     return f'{found} of {of}: {found / of:.1%} ({low:.1%} to {high:.1%})'
 
 
 def found_in(model: NoiseModel) -> list[bool]:
-    """Return whether each of `TESTS` has a finding."""
+    """Return for each of `TESTS` whether the fit has one of its findings."""
     ids = {f.id for f in model.findings}
     return [bool(ids & test) for test in TESTS]
 
 
 def show_alarms(records: int, seed: int) -> Iterator[tuple[str, ...]]:
-    """Yield the findings on clean records of 2 h of three axes, and the time the tests take."""
+    """Yield how often each test has a finding in records without changes, and its CPU time."""
     for k, (name, terms) in enumerate(CLEAN.items()):
         found, excess = np.zeros(3, int), 0.0
         for i in range(records):
@@ -91,7 +91,7 @@ def show_alarms(records: int, seed: int) -> Iterator[tuple[str, ...]]:
 
 
 def show_gains(records: int, seed: int) -> Iterator[tuple[str, ...]]:
-    """Yield quantiles of the gains of a settling and of steps in clean records of 2 h at 1 Hz."""
+    """Yield quantiles of the likelihood gains of settling and steps in records without changes."""
     settling.GAIN_SETTLING = bias_changes.GAIN_STEPS = 0.0
     for k, (name, terms) in enumerate(CLEAN.items()):
         warm: list[float] = []
@@ -100,7 +100,7 @@ def show_gains(records: int, seed: int) -> Iterator[tuple[str, ...]]:
             sums = sums_of(draw(terms, 2.0, 1.0, np.random.default_rng([seed, i, k])))
             means = sums.recordings[0].means[0]
             segment = bias_changes.Segment.of(statistics(sums), means, 1.0)
-            assert segment is not None  # 2 h are long enough
+            assert segment is not None  # None only for shorter records
             one = settling.settling(sums, statistics(sums), [0, 1, 2])
             warm.append(one.gain if one else 0.0)
             each = [bias_changes.bias_steps(segment, a) for a in range(3)]
@@ -109,7 +109,7 @@ def show_gains(records: int, seed: int) -> Iterator[tuple[str, ...]]:
 
 
 def show_power(records: int, seed: int) -> Iterator[tuple[str, ...]]:
-    """Yield how often effects are found, and how often K is covered, or is below its limit."""
+    """Yield how often a change is found, and how often interval or limit of K contain the truth."""
     rng = np.random.default_rng(seed)
 
     def warming(terms: str, hours: float, size: float) -> Floats:

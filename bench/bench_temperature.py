@@ -1,8 +1,8 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Bias over temperature: coverage of the intervals, and false alarms without a dependence.
+"""Bias over temperature: coverage of the intervals, and false alarms of the test.
 
-python bench/bench_temperature.py --records 70    70 records of three axes each, for each case
+python bench/bench_temperature.py --records 70    70 records of three axes for each case
 """
 
 from __future__ import annotations
@@ -33,11 +33,11 @@ CASES = {
     '1 h, irregular, N + B + K': ('NBK', 1.0, 'irregular', 1.0),
     '1 h, irregular, N + B + K, no dependence': ('NBK', 1.0, 'irregular', 0.0),
 }
-"""Case -> noise, hours, temperature, factor on b1 and b2."""
+"""Case -> noise terms, duration in h, kind of `temperature`, factor of b1 and b2."""
 
 
 def temperature(kind: str, n: int, rng: np.random.Generator) -> Floats:
-    """Return the temperature of each sample in degC."""
+    """Return the temperature of each sample, (n,), in degC."""
     phase = np.linspace(0.0, 2.0 * np.pi, n)
     if kind == 'cycles':
         return CENTER + AMPLITUDE * np.sin(2.0 * phase - 1.0)
@@ -50,7 +50,7 @@ def temperature(kind: str, n: int, rng: np.random.Generator) -> Floats:
 
 
 def show(records: int, seed: int) -> Iterator[tuple[str, ...]]:
-    """Yield the coverage of b0, b1, b2 and the hysteresis, and how often it is resolved."""
+    """Yield the coverage of b0, b1, b2 and the hysteresis, and how often b1 or b2 is resolved."""
     for k, (name, (terms, hours, kind, factor)) in enumerate(CASES.items()):
         n, hit, number, resolved = round(hours * HOUR * RATE), np.zeros(4, int), 0, 0
         for i in range(records):

@@ -1,13 +1,14 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""`allan check` with a test plan on units with planted faults, and on good units.
+"""Error rates of `allan check` with a test plan: IMUs with a simulated fault, and good IMUs.
 
-    python bench/bench_units.py                   each fault once, 20 good units
+    python bench/bench_units.py                   each fault once, 20 good IMUs
     python bench/bench_units.py --good 100        false alarms, as in docs/production.md
     python bench/bench_units.py --seed 7          other noise, sizes and axes of the faults
 
-Every unit is 10 min of the IMU of the plan at 100 Hz, with a turn-on bias. A suspect unit must have
-an exit code other than 0. The faults differ in size, axis and time with the seed.
+A *unit* is a simulated recording of one IMU with a turn-on bias, 10 min at 100 Hz. The exit code
+must be 0 for a good unit, and not 0 for a unit with a fault. The seed determines the noise, and the
+size, axis and time of each fault.
 """
 
 from __future__ import annotations
@@ -53,7 +54,7 @@ used: {lower: 98, unit: "%"}
 
 
 class Unit:
-    """Samples of one simulated unit, which a fault changes in place."""
+    """The samples of one simulated IMU; the functions of the faults change them in place."""
 
     def __init__(self, seed: int) -> None:
         self.random = np.random.default_rng(seed)
@@ -62,13 +63,13 @@ class Unit:
         bias = self.random.normal(scale=[np.radians(0.15)] * 3 + [0.025] * 3)
         self.rows = batch.samples + bias
         self.gyro, self.accel = self.rows[:, :3], self.rows[:, 3:]
-        self.x, self.a = self.random.integers(0, 3, 2)  # the axes that a fault changes
-        self.size = float(self.random.uniform(0.8, 1.3))  # factor on the size of a fault
+        self.x, self.a = self.random.integers(0, 3, 2)  # axes with a fault
+        self.size = float(self.random.uniform(0.8, 1.3))  # factor of the size of a fault
         self.half = int(len(self.t) * self.random.uniform(0.3, 0.6))
 
     @property
     def noise(self) -> float:
-        """Standard deviation of the white noise of the gyro axis in rad/s."""
+        """Standard deviation in rad/s of the white noise of the gyro axis that a fault changes."""
         return float(np.std(np.diff(self.gyro[:, self.x])) / np.sqrt(2.0))
 
     def keep(self, rows: np.ndarray) -> None:
@@ -282,7 +283,7 @@ def write(folder: Path, name: str, unit: Unit) -> Path:
 
 
 def check(path: Path, plan: str) -> tuple[int, str, float]:
-    """Return exit code, summary and CPU time in s of `allan check`."""
+    """Run `allan check` on a recording, and return exit code, summary and CPU time in s."""
     text, began = io.StringIO(), time.process_time()
     with contextlib.redirect_stdout(text):
         code = allan(['check', str(path), '--plan', plan, '--json'])
@@ -291,7 +292,7 @@ def check(path: Path, plan: str) -> tuple[int, str, float]:
 
 
 def main() -> None:
-    """Check the units and print a table of the faults, and the rates of both errors."""
+    """Check the units, and print a line for each fault and the rates of both kinds of error."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument('--good', type=int, default=20)
     parser.add_argument('--seed', type=int, default=0)

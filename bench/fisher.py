@@ -1,13 +1,13 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The Fisher bound: the smallest standard deviation of any unbiased estimate of the coefficients.
+"""Fisher bound: the smallest standard deviation of an unbiased estimate of each coefficient.
 
     python bench/fisher.py table1_x table1_y table1_z
 
-The steps of the samples are a stationary Gaussian sequence, so the information of all samples
-follows from Whittle's formula, 1/2 per frequency and pair of spectra. At the lowest frequencies,
-this approximation is wrong because of the ends of the record and the removal of the ramp. There it
-is replaced by the information of the phase at `BLOCKS` points, which is computed exactly.
+The differences of neighboring samples are a stationary Gaussian sequence. Whittle's formula
+approximates the Fisher information of such a sequence. At the lowest frequencies, the ends of the
+record and the removal of the ramp make this approximation wrong. There, the exact information of
+the integrated samples at `BLOCKS` points is used.
 """
 
 from __future__ import annotations
@@ -25,23 +25,24 @@ from allan_ros.core.noise import RANDOM_TERMS
 Floats = NDArray[np.float64]
 
 BLOCKS = 1200
-"""Number of points of the phase that are treated exactly."""
+"""Number of points of the phase (the integrated samples) whose information is computed exactly."""
 
 LAGS = 1 << 15
-"""Number of lags of the autocovariance for a spectrum."""
+"""Number of lags of the autocovariance from which a spectrum is computed."""
 
 
 def second_difference_covariance(lags: int, step: int) -> Floats:
-    """Return the autocovariances of second differences of the phase over ``step``, (4, lags).
+    """Return the autocovariances of the second differences of the phase, (4, lags).
 
-    A row belongs to a variance coefficient (q, w, b, k) of 1. The second difference of the phase is
-    ``step`` times the difference of two successive means, whose autocovariance is gamma.
+    The rows are for the coefficients q, w, b and k, each equal to 1. A second difference over
+    ``step`` samples is ``step`` times the difference of two successive means over ``step`` samples,
+    and gamma is the autocovariance of these means.
     """
     lag = np.abs(np.arange(-1, lags + 1))
     second = np.array([-1.0, 2.0, -1.0]) * step**2
     rows = [np.convolve(t.gamma(step, lag), second, mode='valid') for t in RANDOM_TERMS]
     if step == 1:
-        # For large lags the difference of t^2 ln t / (2 pi) loses its digits: use an expansion.
+        # For large lags, the differences of t^2 ln t / (2 pi) cancel: use their expansion.
         t = np.arange(lags, dtype=float)
         far = t > 60.0
         rows[2][far] = -(2.0 / t[far] ** 2 + 2.0 / t[far] ** 4) / (2.0 * np.pi)
@@ -49,17 +50,20 @@ def second_difference_covariance(lags: int, step: int) -> Floats:
 
 
 def spectra(step: int) -> tuple[Floats, Floats]:
-    """Return frequencies, and the spectra for variance coefficients of 1, (4, frequencies)."""
+    """Return frequencies, and the spectra of second differences, (4, frequencies).
+
+    The rows are for the coefficients q, w, b and k, each equal to 1.
+    """
     rows = second_difference_covariance(LAGS, step)
     even = np.concatenate([rows, rows[:, -2:0:-1]], axis=1)
     return np.arange(LAGS) / (2.0 * LAGS - 2.0), fft.rfft(even, axis=1).real
 
 
 def whittle(count: int, power: Floats, step: int) -> Floats:
-    """Return the information of ``count`` second differences by Whittle's formula, (4, 4)."""
+    """Return the Fisher information (4, 4) of second differences, by Whittle's formula."""
     known, rows = spectra(step)
     f = np.arange(1, count // 2 + 1) / count
-    # Divided by the sine, the flicker spectrum is smooth enough to interpolate.
+    # Only the quotient of the flicker spectrum and the sine is smooth enough to interpolate.
     sine = 2.0 * np.sin(np.pi * known[1:])
     s = np.stack([np.interp(f, known[1:], r[1:] / sine) * 2.0 * np.sin(np.pi * f) for r in rows])
     if step == 1:
@@ -70,8 +74,9 @@ def whittle(count: int, power: Floats, step: int) -> Floats:
 
 
 def exact(count: int, power: Floats, step: int) -> tuple[Floats, float]:
-    """Return the exact information of second differences with a free ramp, and the sd of the
-    ramp.
+    """Return the exact Fisher information of second differences, and the bound of the ramp.
+
+    The information, (4, 4), is for an unknown ramp, and the bound is a standard deviation.
     """
     rows = second_difference_covariance(count, step)
     inverse = np.linalg.inv(toeplitz(power @ rows))
@@ -84,7 +89,10 @@ def exact(count: int, power: Floats, step: int) -> tuple[Floats, float]:
 
 
 def bound(samples: int, power: Floats) -> tuple[Floats, float]:
-    """Return the smallest standard deviations of the nonzero variance coefficients and the ramp."""
+    """Return the bounds of the coefficients q, w, b and k, (4,), and of the ramp.
+
+    The bound of a coefficient that is 0 is NaN.
+    """
     step = samples // BLOCKS
     low, ramp = exact(BLOCKS - 1, power, step)
     information = whittle(samples - 1, power, 1) + low - whittle(BLOCKS - 1, power, step)
@@ -104,7 +112,7 @@ def main() -> None:
         scenario = SCENARIOS[name]
         tau0 = 1.0 / scenario.rate
         q, w, b, k, r = (scenario.truth.value(term) for term in 'QNBKR')
-        # in the squared unit of the samples; the time unit is the sample period
+        # q, w, b and k with the sample period as the unit of time
         power = np.array([(q / tau0) ** 2, w**2 / tau0, b**2, k**2 * tau0])
         powers, ramp = bound(round(scenario.rate * scenario.seconds), power)
         cells = [

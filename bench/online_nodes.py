@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Processes and a client for the benchmarks over real DDS."""
+"""Processes that run nodes, and a ROS client, for the benchmarks with real DDS."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
-sys.path.insert(0, str(ROOT / 'test'))  # the package `support`
+sys.path.insert(0, str(ROOT / 'test'))  # contains the package `support`
 TICKS = os.sysconf('SC_CLK_TCK')
 os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
 os.environ.setdefault('ROS_DOMAIN_ID', '99')
@@ -33,29 +33,29 @@ try:
 except (KeyboardInterrupt, rclpy.executors.ExternalShutdownException):
     pass
 """
-"""A raw subscriber that does nothing, for comparison."""
+"""Program of a subscriber that receives serialized Imu messages and does nothing."""
 
 
 class Process:
-    """A Python process with the arguments ``command``, its CPU time and memory."""
+    """A Python process that is started with the arguments ``command``."""
 
     def __init__(self, *command: str) -> None:
         env = {**os.environ, 'PYTHONPATH': str(ROOT)}
         self.popen = subprocess.Popen([sys.executable, *command], env=env)
 
     def cpu_s(self) -> float:
-        """Return the CPU time used so far, in s."""
+        """Return the CPU time of the process so far in s."""
         fields = Path(f'/proc/{self.popen.pid}/stat').read_text().rsplit(') ', 1)[1].split()
         return (int(fields[11]) + int(fields[12])) / TICKS
 
     def memory_mb(self) -> float:
-        """Return the resident memory in MB."""
+        """Return the resident memory of the process in MB."""
         text = Path(f'/proc/{self.popen.pid}/status').read_text()
         found = re.search(r'VmRSS:\s+(\d+)', text)
         return int(found[1]) / 1024 if found else float('nan')
 
     def end(self) -> int:
-        """Send SIGTERM and return the exit code; the process is killed if it does not end."""
+        """Send SIGTERM, kill the process if it still runs after 60 s, and return the exit code."""
         self.popen.terminate()
         try:
             return self.popen.wait(60)
@@ -66,7 +66,10 @@ class Process:
 
 @contextlib.contextmanager
 def node(name: str, *arguments: str, ros: Iterable[str] = ()) -> Iterator[Process]:
-    """Run a node, or 'play' (scripts/play.py), with parameters ``name:=value`` during the block."""
+    """Run a node, or scripts/play.py ('play'), while the block of the with statement runs.
+
+    ``ros`` are parameters, such as 'publish.sums_period:=15.0'.
+    """
     given = [x for parameter in ros for x in ('-p', parameter)]
     script = str(ROOT / 'scripts' / 'play.py')
     command = [script] if name == 'play' else ['-m', 'allan_ros.nodes', name]
@@ -79,7 +82,7 @@ def node(name: str, *arguments: str, ros: Iterable[str] = ()) -> Iterator[Proces
 
 
 class Client:
-    """A node that receives diagnostics, publishes Imu and calls services."""
+    """A ROS node that receives `/diagnostics` and can publish Imu messages."""
 
     def __init__(self) -> None:
         import rclpy
@@ -95,7 +98,7 @@ class Client:
             self.statuses[status.name] = status
 
     def spin(self, seconds: float) -> None:
-        """Spin for a duration."""
+        """Process callbacks for a number of seconds."""
         import rclpy
 
         end = time.monotonic() + seconds
@@ -103,8 +106,9 @@ class Client:
             rclpy.spin_once(self.node, timeout_sec=left)
 
     def value(self, ending: str, key: str) -> str:
-        """Return one value of the status whose name ends with ``ending``; empty if there is
-        none.
+        """Return the first value whose key starts with ``key``, or '' if there is none.
+
+        ``ending`` is the end of the name of the status.
         """
         for name, status in self.statuses.items():
             if name.endswith(ending):
@@ -112,14 +116,12 @@ class Client:
         return ''
 
     def message(self, ending: str) -> str:
-        """Return the message of the status whose name ends with ``ending``; empty if there is
-        none.
-        """
+        """Return the message of the status whose name ends with ``ending``, or ''."""
         found = (s.message for name, s in self.statuses.items() if name.endswith(ending))
         return next(found, '')
 
     def publisher(self) -> Any:
-        """Return a publisher of Imu, once a subscriber has discovered it."""
+        """Return a publisher of Imu messages, once a subscriber has discovered the publisher."""
         from rclpy.qos import QoSProfile
         from sensor_msgs.msg import Imu
         from support.handshake import Handshake

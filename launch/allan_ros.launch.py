@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Start allan_monitor for one or several IMUs, or its parts in separate processes.
+"""Start allan_monitor for one or several IMUs, or start its parts as separate processes.
 
 ros2 launch allan_ros allan_ros.launch.py imu:=/camera/imu sensor:=adis16475-3
 ros2 launch allan_ros allan_ros.launch.py imu:=/left/imu,/right/imu checkpoint:=/var/lib/imus
@@ -45,14 +45,14 @@ PARAMETERS = {
     'baseline': 'estimator.baseline',
     'checkpoint': 'checkpoint.path',
 }
-"""Launch argument -> parameter that it overrides if it is given."""
+"""Launch argument with one value -> parameter that this value overrides if it is given."""
 
 LISTS = {
     'accel': 'input.accel_topics',
     'labels': 'input.labels',
     'hardware_id': 'input.hardware_ids',
 }
-"""Launch argument that is a list -> parameter that it overrides if it is given."""
+"""Launch argument that is a list -> parameter that this list overrides if it is given."""
 
 BOOLEANS = {'true': True, 'yes': True, 'on': True, '1': True}
 BOOLEANS |= {'false': False, 'no': False, 'off': False, '0': False}
@@ -60,7 +60,7 @@ BOOLEANS |= {'false': False, 'no': False, 'off': False, '0': False}
 
 
 def boolean(given, name):
-    """Return the value of a boolean argument; raise RuntimeError if it is not a boolean."""
+    """Return the value of a launch argument as bool; raise RuntimeError if it is no boolean."""
     text = given[name].strip().lower()
     if text not in BOOLEANS:
         raise RuntimeError(f'{name}:={given[name]} is not a boolean: give true or false')
@@ -73,7 +73,7 @@ def items(text):
 
 
 def nodes(context):
-    """Return the nodes for the launch arguments in the context."""
+    """Return the nodes to start, as the launch arguments in ``context`` request."""
     given = {name: LaunchConfiguration(name).perform(context) for name in (*ARGUMENTS, 'config')}
     overrides = {parameter: given[name] for name, parameter in PARAMETERS.items() if given[name]}
     topics = items(given['imu'])
@@ -115,7 +115,7 @@ def nodes(context):
 
 
 def generate_launch_description():
-    """Return the launch arguments and the nodes."""
+    """Return the launch description: the arguments, and the function that returns the nodes."""
     config = PathJoinSubstitution([FindPackageShare(PACKAGE), 'config', 'allan_ros.yaml'])
     return LaunchDescription(
         [
