@@ -1,15 +1,13 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""List the packages that allan_ros installs, with version and license, and query known
-vulnerabilities.
+"""List the packages that allan_ros requires, with licenses and known vulnerabilities.
 
-    python scripts/audit.py             # exit 1: something is vulnerable; 2: some was not audited
-    python scripts/audit.py --offline   # the list alone, no query
+    python scripts/audit.py             # exit code 1: a vulnerability; 2: a package was not checked
+    python scripts/audit.py --offline   # list the packages and licenses only
 
-The list contains the installed packages that ``install_requires`` of setup.py requires, directly or
-not. pip-audit asks the advisory service of PyPI for each of them, by name and version. A mirror of
-PyPI may not have this service. pip-audit then skips each package and reports no problem, so skipped
-packages are counted here.
+pip-audit asks the advisory service of PyPI for each package. If this service is missing, as on a
+mirror of PyPI, pip-audit skips the packages and reports no problem. Skipped packages are therefore
+counted here.
 """
 
 from __future__ import annotations
@@ -29,14 +27,14 @@ VULNERABLE, NOT_AUDITED = 1, 2
 CLASSIFIER = 'License :: OSI Approved :: '
 REQUIREMENT = re.compile(r'([A-Za-z0-9._-]+)')
 LONGEST_LICENSE = 60
-"""Longest license name in characters; some packages contain the complete text instead."""
+"""Longest name of a license in characters. Some packages state the complete text instead."""
 
 TOOL = [sys.executable, '-m', 'pip_audit']
 ASKED = ['--no-deps', '--disable-pip', '--format', 'json', '--requirement']
 
 
 def required() -> dict[str, metadata.Distribution]:
-    """Return the installed packages that allan_ros requires, directly or not, by name."""
+    """Return name -> installed package that allan_ros or one of its dependencies requires."""
     found: dict[str, metadata.Distribution] = {}
     waiting = [PACKAGE]
     while waiting:
@@ -45,7 +43,7 @@ def required() -> dict[str, metadata.Distribution]:
                 try:
                     found[name] = metadata.distribution(name)
                 except metadata.PackageNotFoundError:
-                    continue  # its marker excludes this system or Python
+                    continue  # not required on this system or Python
                 waiting.append(name)
     return dict(sorted(found.items()))
 
@@ -58,9 +56,9 @@ def _requirements(distribution: metadata.Distribution) -> Iterator[str]:
 
 
 def license(distribution: metadata.Distribution) -> str:
-    """Return the name of the license, from the metadata fields of old and new packages."""
+    """Return the name of the license of a package, from old or new fields of its metadata."""
     about = distribution.metadata
-    # get_all: newer readers of metadata raise an error for a missing field, older ones return None
+    # for a missing field, `about[...]` raises an error in newer versions of Python only
     classifiers = [c for c in about.get_all('Classifier') or () if c.startswith(CLASSIFIER)]
     named = [*(about.get_all('License-Expression') or ()), *(about.get_all('License') or ())]
     named += [classifier.removeprefix(CLASSIFIER) for classifier in classifiers]
@@ -69,7 +67,7 @@ def license(distribution: metadata.Distribution) -> str:
 
 
 def main() -> int:
-    """Print the list and the answer of the service."""
+    """Print packages, licenses and vulnerabilities, and return the exit code."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else '')
     parser.add_argument('--offline', action='store_true', help='ask nobody')
     options = parser.parse_args()
@@ -99,7 +97,7 @@ def main() -> int:
 
 
 def audited(packages: dict[str, metadata.Distribution]) -> list[dict[str, Any]]:
-    """Return the result of pip-audit for each package: `vulns`, or why it was skipped."""
+    """Return the answer of pip-audit for each package: `vulns`, or `skip_reason`."""
     with tempfile.NamedTemporaryFile('w', suffix='.txt') as file:
         file.write('\n'.join(f'{name}=={found.version}' for name, found in packages.items()))
         file.flush()
@@ -113,7 +111,7 @@ def audited(packages: dict[str, metadata.Distribution]) -> list[dict[str, Any]]:
 
 
 def _reason(answers: list[dict[str, Any]]) -> str:
-    """Return the first reason why a package was skipped."""
+    """Return why pip-audit skipped the first package that it skipped."""
     return next((a['skip_reason'] for a in answers if 'skip_reason' in a), 'no answer')
 
 

@@ -1,10 +1,10 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Run `allan check` on recordings of known state, and print a table of verdicts.
+"""Run `allan check` on recordings of IMUs in a known state, and print a table of the verdicts.
 
 usage: check_table.py DATA
 
-DATA is the folder of real recordings; simulated ones are written to a temporary folder.
+DATA is the folder of the real recordings. Simulated recordings are written to a temporary folder.
 """
 
 from __future__ import annotations
@@ -25,14 +25,20 @@ HEAD = """| recording | state | checked against | exit code | line |
 
 
 class Case(NamedTuple):
-    """One recording, its known state, and the expected exit code.
+    """A recording, the known state of its IMU, and the expected exit code of `allan check`.
 
     Attributes
     ----------
     path : str
-        Path in the folder of real recordings, or the name of a simulated one.
+        Path in the folder of the real recordings, or file name of a simulated recording.
+    state : str
+        Description of the recording in the table.
+    options : str
+        Options of `allan check`.
+    exit_code : int
+        The expected exit code.
     simulated : str
-        Arguments of `allan simulate`; '' for a real recording.
+        Arguments of `allan simulate`; '' for a real or an existing recording.
     """
 
     path: str
@@ -70,14 +76,9 @@ CASES = (
 
 
 def run_cases(data: Path, folder: Path) -> Iterator[tuple[Case, int, str]]:
-    """Yield each case with the exit code of `allan check` and the line it prints.
+    """Yield each case with the exit code of `allan check` and the line that it prints.
 
-    Parameters
-    ----------
-    data : Path
-        The real recordings.
-    folder : Path
-        Folder for the simulated ones.
+    ``data`` is the folder of the real recordings, and ``folder`` receives the simulated recordings.
     """
     for case in CASES:
         path = folder / case.path

@@ -1,11 +1,10 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Demonstration on an IMU with known noise: simulate, analyze, compare with the truth, play to the
-nodes.
+"""Demonstration: simulate an IMU, analyze it, compare with the true noise, play to the nodes.
 
 usage: demo.py FOLDER [--hours H]
 
-The IMU is the ADIS16475-3 of Cong, Wang, Yan (2019): 100 Hz, 2 h, the five terms of its table 1.
+The simulated IMU is the ADIS16475-3 of Cong, Wang & Yan (2019, table 1), 2 h at 100 Hz.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ from allan_ros.results.simulation import truth_path
 
 
 def main() -> int:
-    """Run the demo and return the exit code of the first step that fails, else 0."""
+    """Run the steps of the demo. Return the exit code of the first step that fails, or 0."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument('folder', type=Path)
     parser.add_argument('--hours', default='2', help='length of the recording (default 2)')

@@ -1,9 +1,9 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Play a recording to allan_monitor over DDS and show /diagnostics.
+"""Play a recording to allan_monitor over DDS, and show `/diagnostics` in the terminal.
 
-The bag is played as fast as the monitor processes it, so hours pass in a minute. At the end, the
-sums of the monitor are compared with the sums of the offline analysis.
+The recording is played as fast as the monitor processes the messages, hours of data in a minute. At
+the end, the Allan sums of the monitor are compared with the Allan sums of the offline analysis.
 """
 
 from __future__ import annotations
@@ -20,23 +20,23 @@ RELIABLE = [
     *('-p', 'qos_overrides./imu/data.subscription.reliability:=reliable'),
     *('-p', 'qos_overrides./imu/data.subscription.history:=keep_all'),
 ]
-"""With these parameters the player waits while a queue is full, so no message is lost."""
+"""Parameters with which no message is lost: the player waits while a queue is full."""
 
 PATIENCE_S = 300.0
 ANSWER_S = 10.0
 
 
 def play(bag: Path, folder: Path, sensor: str) -> int:
-    """Play the bag into a monitor and return 0 if the sums equal those in ``sums.json``."""
-    os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'  # no discovery of other machines
+    """Play a bag to a monitor. Return 0 if its Allan sums equal the sums in sums.json, else 1."""
+    os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'  # nodes on this machine only
     checkpoint = folder / 'online_sums.json'
     checkpoint.unlink(missing_ok=True)
     parameters = {
         'checkpoint.path': checkpoint,
         'estimator.sensor': sensor,
         'publish.sums_period': 2.0,
-        'input.stale_after': 3600.0,  # the end of the recording is not an error
-        # the recording is played faster than real time, so recent hours pass in seconds
+        'input.stale_after': 3600.0,  # no error after the end of the recording
+        # a week: the latest hour of a fast playback lasts only seconds
         'estimator.recent_window': 604800.0,
     }
     given = [word for name, value in parameters.items() for word in ('-p', f'{name}:={value}')]
@@ -51,7 +51,7 @@ def play(bag: Path, folder: Path, sensor: str) -> int:
             return 1
         took = time.monotonic() - began
         _fit()
-        time.sleep(2.0)  # so that allan_watch shows the last coefficients
+        time.sleep(2.0)  # allan_watch shows the last coefficients
     finally:
         for process in (watch, player, monitor):
             if process.poll() is None:
@@ -70,7 +70,7 @@ def _start(name: str, *arguments: str) -> subprocess.Popen[bytes]:
 
 
 def _fit() -> None:
-    """Let the monitor save and fit the sums of all samples, and wait for the noise model."""
+    """Let the monitor save and fit its Allan sums, and wait for the noise model of all samples."""
     import rclpy
     from std_msgs.msg import String
     from std_srvs.srv import Trigger
@@ -85,7 +85,7 @@ def _fit() -> None:
         client = node.create_client(Trigger, f'/allan_monitor/{service}')
         if not client.wait_for_service(PATIENCE_S):
             raise TimeoutError(service)
-        # An answer to a client that the node has not discovered yet is lost.
+        # The node cannot answer before it has discovered the client, so the call is repeated.
         while time.monotonic() < deadline:
             future = client.call_async(Trigger.Request())
             rclpy.spin_until_future_complete(node, future, timeout_sec=ANSWER_S)
@@ -95,7 +95,7 @@ def _fit() -> None:
 
     saved = call('save')
     while not call('fit').success and time.monotonic() < deadline:
-        time.sleep(0.5)  # another fit is running
+        time.sleep(0.5)  # an earlier fit is still running
     samples = int(saved.message.rsplit(': ', 1)[1].split()[0])
     models: list[int] = []
     node.create_subscription(

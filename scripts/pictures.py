@@ -1,10 +1,10 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The pictures of the documentation, drawn from simulated IMUs with fixed seeds.
+"""Draw the figures of the documentation from simulated IMUs.
 
 usage: pictures.py FOLDER
 
-The IMU is simulated as by `allan simulate --preset paper`, some with faults of `allan simulate`.
+The IMU is simulated as with `allan simulate --preset paper`, in some figures with a fault.
 """
 
 from __future__ import annotations
@@ -27,27 +27,27 @@ from allan_ros.view.format import TERM_STYLES
 from allan_ros.view.plots import LIMIT_ALPHA
 
 RATE = 100.0
-"""Sampling rate of every picture in Hz."""
+"""Sample rate of the simulated IMUs in Hz."""
 
 HOUR = 3600.0
 
 DEG_H = 1.0 / UNITS['deg/h'].factor
 UG = 1.0 / UNITS['ug'].factor
-"""Factors from SI to deg/h and ug."""
+"""Factors that convert SI to deg/h and to ug."""
 
 DPI = 100
 FONT = {'font.size': 9.0, 'axes.grid': False}
 GRAY = '0.6'
 ON_WHITE = {'facecolor': 'white', 'edgecolor': 'none', 'pad': 1.0}
-"""Background of text that is drawn on lines."""
+"""Style of the background of text, which hides the lines behind the text."""
 
 ALL_FIVE = Model.of(Q=2.4e-6, N=7e-6, B=7e-6, K=2.4e-7, R=2.4e-9)
-"""A fictitious gyro on whose curve every term is visible."""
+"""Noise of a fictitious gyro, in SI, whose Allan curve shows all five terms."""
 
 
 @dataclass(frozen=True)
 class Shape:
-    """A kind of noise that the five terms do not describe."""
+    """A figure of noise that the five terms do not describe."""
 
     name: str
     axis: str
@@ -78,13 +78,13 @@ SHAPES = (
 
 
 def analyzed(hours: float, seed: int = 0, **faults: object) -> ar.Results:
-    """Return the results of the simulated IMU of the paper, with the faults given."""
+    """Return the results of a simulated IMU with the given faults."""
     recording = ar.simulate(hours, RATE, seed=seed, **faults)
     return ar.analyze(recording, rate=RATE, motion_gate=False, skip=0)
 
 
 def draw_measured(panel: Axes, curve: ar.AxisCurve, factor: float, **style: object) -> None:
-    """Draw the points of a curve and the band of their 68 % limits."""
+    """Draw the points of an Allan curve, and the band of their 68 % limits."""
     panel.fill_between(curve.tau, factor * curve.ci_low, factor * curve.ci_high, color='0.85', lw=0)
     panel.plot(
         curve.tau,
@@ -94,7 +94,7 @@ def draw_measured(panel: Axes, curve: ar.AxisCurve, factor: float, **style: obje
 
 
 def draw_parts(panel: Axes, result: ar.AxisResult, factor: float, lowest: float) -> None:
-    """Draw the fit, its terms, and the range that unresolved terms may add."""
+    """Draw the model, its terms, and the area up to the limits of unresolved terms."""
     curve = result.curve
     assert curve is not None
     for name, part in result.part_adev(curve.m).items():
@@ -107,7 +107,7 @@ def draw_parts(panel: Axes, result: ar.AxisResult, factor: float, lowest: float)
 
 
 def new_figure(width: float, height: float, columns: int = 1) -> tuple[Figure, Sequence[Axes]]:
-    """Return a figure of the given size in inches with log-log panels side by side."""
+    """Return a figure of a given size in inches, and its panels with logarithmic axes."""
     figure = Figure(figsize=(width, height), layout='constrained')
     panels = figure.subplots(1, columns, squeeze=False)[0]
     for panel in panels:
@@ -117,7 +117,7 @@ def new_figure(width: float, height: float, columns: int = 1) -> tuple[Figure, S
 
 
 def five_slopes() -> Figure:
-    """Draw the curve of a gyro with all five terms, and mark where each is read."""
+    """Draw the Allan curve of a gyro with all five terms, and label the terms with their slopes."""
     figure, (panel,) = new_figure(6.4, 4.2)
     tau = np.geomspace(0.01, 1e5, 400)
     avar = DEG_H**2 * np.stack([*ALL_FIVE.contributions(tau, 1.0 / RATE).values()], axis=-1)
@@ -139,7 +139,7 @@ def five_slopes() -> Figure:
 
 
 def wrong_shape(shape: Shape) -> Figure:
-    """Draw a curve with a fault over the same curve without it."""
+    """Draw the Allan curves of an IMU with a fault and of the same IMU without the fault."""
     bad, good = analyzed(shape.hours, **shape.faults), analyzed(shape.hours)
     figure, (panel,) = new_figure(5.2, 3.2)
     clean = good.axes[shape.axis].curve
@@ -154,7 +154,7 @@ def wrong_shape(shape: Shape) -> Figure:
 
 
 def held_samples() -> Figure:
-    """Draw an accelerometer read at 62.5 Hz and published at 100 Hz with repeated samples."""
+    """Draw the Allan curve of an accelerometer of 62.5 Hz, with and without repeated samples."""
     faults = {'accel_rate': 62.5}
     figure, (panel,) = new_figure(5.2, 3.2)
     repeated = ar.adev(ar.simulate(0.5, RATE, **faults).samples[:, 5], RATE)
@@ -170,7 +170,7 @@ def held_samples() -> Figure:
 
 
 def more_time() -> Figure:
-    """Draw the same gyro after ten minutes, an hour and eight hours."""
+    """Draw the Allan curves of one gyro for recordings of 10 min, 1 h and 8 h."""
     figure, panels = new_figure(9.0, 3.1, 3)
     for panel, (hours, name) in zip(panels, ((1 / 6, '10 min'), (1.0, '1 h'), (8.0, '8 h'))):
         result = analyzed(hours, seed=1).axes['gyro_z']
@@ -185,7 +185,7 @@ def more_time() -> Figure:
 
 
 def main() -> int:
-    """Draw all pictures into the folder."""
+    """Write all figures to the folder that is given on the command line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument('folder', type=Path)
     folder = parser.parse_args().folder

@@ -1,12 +1,12 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Publish the Imu messages of a recording, or of a simulated IMU, with their stamps on `imu/data`.
+"""Publish the Imu messages of a recording, or of a simulated IMU, on `imu/data`.
 
     python scripts/play.py recording/ --rate 0
     python scripts/play.py --simulate 600 --frequency 200
 
-The demo, the tests and the benchmarks use it. The publisher is reliable and keeps all messages
-until they are acknowledged: no message is lost at any speed if the subscribers have the same QoS.
+The messages keep their stamps. The publisher is reliable and keeps all messages until they are
+acknowledged. No message is lost at any speed if the subscribers have the same QoS.
 """
 
 from __future__ import annotations
@@ -38,12 +38,12 @@ from allan_ros.core.simulator import simulate_imu
 from allan_ros.readers import ReadOptions, open_recordings
 from allan_ros.readers.cdr import encode_imus
 
-# noise terms of a good MEMS IMU
+# noise of a good MEMS IMU in SI
 GYRO = [Model.of(N=5e-5, B=2e-5, K=2e-6)] * 3
 ACCEL = [Model.of(N=8e-4, B=3e-4, K=2e-5)] * 3
 
 DISCOVERY_S = 1.0
-"""Time in s after its discovery in which a subscriber discovers the publisher in turn."""
+"""Time in s to wait after the discovery of the subscribers, until they discover the publisher."""
 
 POLL_S = 0.05
 
@@ -58,9 +58,10 @@ def batches_of(options: argparse.Namespace) -> Iterator[ImuBatch]:
 def play(
     publisher: Publisher, batches: Iterator[ImuBatch], rate: float, stop: threading.Event
 ) -> int:
-    """Publish the samples at ``rate`` times their speed (0: without pauses); return their number.
+    """Publish the samples at ``rate`` times their real speed, and return their number.
 
-    While the queue of a reliable subscriber is full, `publish` waits and then raises RCLError.
+    A ``rate`` of 0 publishes without pauses. While the queue of a reliable subscriber is full,
+    `publish` waits and then raises RCLError; the message is then published again.
     """
     played = first_ns = 0
     began = time.monotonic()

@@ -1,15 +1,15 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Rerun the commands whose output the README and docs quote, and write the new output.
+"""Run the commands whose output is quoted in README and docs, and write the new output.
 
 usage: quoted_output.py [--check] [PAGE ...]
 
-A quoted block is fenced and follows a comment with its command line:
+A comment with a command precedes the fenced block that quotes the output of the command:
 
     <!-- $ allan analyze my_bag | head -5 -->
 
-The commands of one page run in order in one temporary folder. Comments without a block only prepare
-later commands.
+The commands of a page run one after the other in a temporary folder. A command without a block
+prepares later commands.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ COMMAND = re.compile(r'<!-- \$ (?P<command>.+?) -->\n(?:```\w*\n(?P<output>.*?)`
 
 
 def quoting_pages() -> list[Path]:
-    """Return the pages that quote output."""
+    """Return the paths of the pages that quote the output of commands."""
     pages = [ROOT / 'README.md', *sorted((ROOT / 'docs').rglob('*.md'))]
     return [page for page in pages if COMMAND.search(page.read_text(encoding='utf-8'))]
 
@@ -42,7 +42,7 @@ def with_new_output(text: str) -> str:
         When a command fails.
     """
     with tempfile.TemporaryDirectory() as folder, tempfile.TemporaryDirectory() as tools:
-        # An installed `allan` may be missing on the PATH (colcon), or have another version.
+        # `allan` in the PATH may be missing, or may be another version than this source code.
         allan, python = Path(tools, 'allan'), str(Path(sys.executable).parent)
         allan.write_text(
             f'#!/bin/sh\nexec {shlex.quote(sys.executable)} -m allan_ros.cli.main "$@"\n'
@@ -74,7 +74,7 @@ def with_new_output(text: str) -> str:
 
 
 def main() -> int:
-    """Rewrite or check the pages; return 1 if a check fails."""
+    """Rewrite the pages, or check them; return 1 if a checked page is stale."""
     parser = argparse.ArgumentParser(description=(__doc__ or '').splitlines()[0])
     parser.add_argument('--check', action='store_true', help='change nothing; exit 1 if stale')
     parser.add_argument('pages', nargs='*', type=Path)

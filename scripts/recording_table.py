@@ -1,12 +1,12 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Terms resolved by 10 min, 1 h, 2 h and 8 h for three grades of IMU: the table of
-docs/recording.md.
+"""Print the table of docs/recording.md: the precision of N, B and K after 10 min to 8 h.
 
 usage: recording_table.py [--records N]
 
-The three grades are the three axes of one simulated IMU at 100 Hz. A term counts as resolved if it
-is `estimated`; the number is the median half-width of its 95 % interval, in percent of the truth.
+The three axes of a simulated IMU at 100 Hz have the noise of three grades of IMU. The table states
+half the width of the 95 % interval in percent of the true value, as the median of the records in
+which the term is resolved.
 """
 
 from __future__ import annotations
@@ -38,14 +38,14 @@ GRADES = {
         'tactical': {'N': 0.006, 'B': 4.0, 'K': 8.0},
     },
 }
-"""Sensor -> grade -> terms in datasheet units: typical values, not the values of a product."""
+"""Sensor -> grade of IMU -> typical noise terms in datasheet units."""
 
 MOSTLY = 0.5
-"""Smallest fraction of records that resolve a term for which a number is shown."""
+"""The width of an interval is shown if at least this fraction of the records resolves the term."""
 
 
 def half_widths(seconds: float, seed: int) -> dict[tuple[str, str], float]:
-    """Return (axis, term) -> half-width of its interval over the truth, NaN if not resolved."""
+    """Return (axis, term) -> half the width of the interval / true value; NaN if not resolved."""
     noise = {sensor: dict(zip('xyz', grades.values())) for sensor, grades in GRADES.items()}
     samples = ar.simulate(seconds / 3600.0, RATE, preset='', **noise, seed=seed)
     results = ar.analyze(samples, motion_gate=False)
@@ -77,7 +77,7 @@ def rows(records: int) -> Iterator[str]:
 
 
 def cell(halves: list[float]) -> str:
-    """Return the text of the table cell for one term and one length of recording."""
+    """Return the text of a table cell, given the half widths of the interval in all records."""
     shown = np.isfinite(halves)
     if not shown.any():
         return 'no'

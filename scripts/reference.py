@@ -1,10 +1,10 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Write docs/parameters.md, options.md, api.md and the findings in docs/messages.md.
+"""Write the generated pages: docs/parameters.md, options.md, api.md and messages.md.
 
 usage: reference.py
 
-All texts come from the code; a test compares the pages with the output of this script.
+The texts come from the code and from view/findings.md. A test fails if a page is stale.
 """
 
 from __future__ import annotations
@@ -95,7 +95,7 @@ SHARED_HEAD = """## Options of several verbs
 
 
 def parameters_page() -> str:
-    """Return the page of the nodes' parameters."""
+    """Return the page about the parameters of the nodes."""
     nodes = _nodes_of_groups((ROOT / 'config' / 'allan_ros.yaml').read_text())
     parts = [WRITTEN_BY, PARAMETERS_HEAD]
     for group, settings in GROUPS.items():
@@ -114,7 +114,7 @@ def parameters_page() -> str:
 
 
 def _nodes_of_groups(config: str) -> dict[str, tuple[str, str]]:
-    """Return group -> purpose and nodes, from the comments of the parameter file."""
+    """Return group of parameters -> (purpose, nodes), from the comments of the parameter file."""
     found = re.findall(r'^    # (.+?) \(([^()]+)\)\.\n    (\w+):$', config, re.MULTILINE)
     return {group: (f'{what}.', where) for what, where, group in found}
 
@@ -139,7 +139,7 @@ def _bound(value: float | None) -> str:
 
 
 def _shown(default: Any) -> str:
-    """Return a default in YAML notation."""
+    """Return the default of a parameter in YAML notation."""
     if isinstance(default, tuple):
         return '[' + ', '.join(_shown(value) for value in default) + ']'
     if isinstance(default, bool):
@@ -160,7 +160,7 @@ def _launch_rows() -> Iterator[str]:
 
 
 def cli_page() -> str:
-    """Return the page of the command line's options."""
+    """Return the page about the options of the command line."""
     common = argparse.ArgumentParser(add_help=False)
     declare(common, COMMON_OPTIONS)
     every = EVERY_VERB.format(
@@ -200,7 +200,7 @@ def _option_row(action: argparse.Action) -> str:
 
 
 def api_page() -> str:
-    """Return the page of the public Python API from the docstrings, functions first."""
+    """Return the page about the public Python API, with the docstrings of functions and classes."""
     names = sorted(allan_ros.__all__, key=lambda name: inspect.isclass(getattr(allan_ros, name)))
     return '\n'.join([WRITTEN_BY, API_HEAD, *map(_object_section, names)])
 
@@ -223,11 +223,11 @@ STARS: dict[object, str] = {
     inspect.Parameter.VAR_POSITIONAL: '*',
     inspect.Parameter.VAR_KEYWORD: '**',
 }
-"""Kind of a parameter -> stars before its name."""
+"""Kind of a parameter -> stars before its name in a signature."""
 
 
 def _signature(thing: Any) -> str:
-    """Return the parameters with defaults, without types."""
+    """Return the signature of a function: names and defaults of the parameters, without types."""
     words, starred = [], False
     for parameter in inspect.signature(thing).parameters.values():
         if parameter.kind is parameter.VAR_POSITIONAL:
@@ -243,7 +243,7 @@ def _signature(thing: Any) -> str:
 
 
 def _as_markdown(thing: Any) -> str:
-    """Return a docstring with its sections as lists, and its examples as code."""
+    """Return a docstring as Markdown, with its sections as lists and its examples as code."""
     text = inspect.cleandoc(thing.__doc__ or '')
     head, *sections = re.split(r'^(\w+)\n-{3,}\n', text, flags=re.MULTILINE)
     parts = [_code(head.strip())]
@@ -252,7 +252,7 @@ def _as_markdown(thing: Any) -> str:
             parts.append(f'```python\n{_session(body)}\n```')
             continue
         if title == 'Raises':
-            continue  # the head of the page states it for all functions
+            continue  # the head of the page states the errors
         if title == 'Returns':
             parts.append('**Returns** ' + ' '.join(each[2:] for each in _items(body.strip())))
             continue
@@ -262,13 +262,13 @@ def _as_markdown(thing: Any) -> str:
 
 
 def _session(example: str) -> str:
-    """Return an example without the import that all have in common."""
+    """Return an example without the imports that all examples have in common."""
     common = ('>>> import allan_ros as ar', '>>> import numpy as np')
     return '\n'.join(line for line in example.strip().splitlines() if line not in common)
 
 
 def _items(body: str) -> Iterator[str]:
-    """Yield the entries of a numpy section as a list."""
+    """Yield the entries of a numpydoc section as items of a Markdown list."""
     for name, text in re.findall(r'^(\S.*)\n?((?:(?:[ ].*)?\n?)*?)(?=^\S|\Z)', body, re.MULTILINE):
         term, _, kind = name.partition(' : ')
         words = _code(' '.join(text.split()))
@@ -276,7 +276,7 @@ def _items(body: str) -> Iterator[str]:
 
 
 def _code(text: str) -> str:
-    """Convert the literals of reStructuredText to Markdown."""
+    """Return a text of a docstring with its literals in Markdown."""
     return text.replace('``', '`').replace('<', '&lt;')
 
 
@@ -298,7 +298,7 @@ def _members(thing: type) -> Iterator[str]:
 
 
 def messages_page(text: str) -> str:
-    """Return the page of messages with the current findings between its first and last section."""
+    """Return the page about messages, with the findings between its first and last section."""
     head, tail = text.partition('## ')[0], text[text.rindex('\n## ') + 1 :]
     parts = []
     section = ''
@@ -313,13 +313,13 @@ def messages_page(text: str) -> str:
 
 
 def _without_numbers(template: str) -> str:
-    """Return a template of a finding in the plural, with … in place of its fields."""
+    """Return the template of a finding in the plural form, with … instead of each number."""
     text = re.sub(r'\[\[|\]\]', '', template.replace('{when}', ''))
     return FIELD.sub(lambda field: (field[2] or '').partition('|')[2] or '…', text)
 
 
 def pages() -> dict[str, str]:
-    """Return file in docs -> its generated text."""
+    """Return name of the file in docs -> text of the generated page."""
     return {
         'parameters.md': parameters_page(),
         'options.md': cli_page(),
@@ -329,7 +329,7 @@ def pages() -> dict[str, str]:
 
 
 def main() -> int:
-    """Write the pages."""
+    """Write all generated pages."""
     for name, text in pages().items():
         (DOCS / name).write_text(text, encoding='utf-8')
     return 0

@@ -1,11 +1,11 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Screenshot of the report in a browser.
+"""Take the screenshot of a report for the documentation, with a browser.
 
 usage: report_pictures.py FOLDER
 
-The IMU is simulated as by `allan simulate --preset paper`. A fan runs next to it, it is moved once,
-and the recorder loses half a minute.
+The IMU is simulated as with `allan simulate --preset paper`. The simulated recording contains
+vibration from a fan, a motion, and a gap of half a minute.
 """
 
 from __future__ import annotations
@@ -17,26 +17,26 @@ import sys
 import tempfile
 from pathlib import Path
 
-from PIL import Image  # comes with matplotlib
+from PIL import Image  # Pillow, a dependency of matplotlib
 
 from allan_ros.cli.main import main as allan
 
 BROWSERS = ('chromium', 'chromium-browser', 'google-chrome')
 
 WINDOW = (1280, 1000)
-"""Size of the screenshot in pixels: verdict, coefficients, curves and numbers for a filter."""
+"""Width and height of the screenshot in pixels."""
 
 COLORS = 96
-"""Number of colors of a picture: enough for smooth text, at a third of the file size."""
+"""Number of colors of the picture, with which text is smooth and the file three times smaller."""
 
 FAULTS = (
     '{vibration_gyro: 8.0e-5, vibration_frequency: 0.4, motion: [[1500, 60]], gaps: [[2600, 30]]}'
 )
-"""Faults simulated in the recording."""
+"""Faults of the simulated recording, as in the files of `allan simulate --spec`."""
 
 
 def photograph(page: Path, picture: Path, scratch: Path) -> None:
-    """Take a screenshot of the top of a page."""
+    """Write a screenshot of the top of ``page`` to the file ``picture``."""
     browser = next((path for name in BROWSERS if (path := shutil.which(name))), None)
     if browser is None:
         sys.exit(f'no browser here: install one of {", ".join(BROWSERS)}')
@@ -47,7 +47,7 @@ def photograph(page: Path, picture: Path, scratch: Path) -> None:
 
 
 def main() -> int:
-    """Draw the picture."""
+    """Simulate and analyze the recording, and write the screenshot."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument('folder', type=Path)
     folder = parser.parse_args().folder.resolve()

@@ -1,10 +1,10 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Write the table of docs/sensors.md from the files of config/sensors.
+"""Write the table of sensors in docs/sensors.md, from the files in config/sensors.
 
 usage: sensor_table.py
 
-A test compares the page with the output of this script.
+A test fails if the table is stale.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ COLUMNS = (('gyro', 'N'), ('gyro', 'B'), ('accel', 'N'), ('accel', 'B'))
 
 
 def table() -> str:
-    """Return the table as Markdown: stated values and their sources."""
+    """Return the table as Markdown: N and B of each datasheet, and the sources."""
     return '\n'.join(_lines()) + '\n'
 
 
@@ -42,7 +42,7 @@ def _lines() -> Iterator[str]:
 
 
 def _stated(sheet: Datasheet, sensor: str, term: str) -> str:
-    """Return the stated values of a sensor; axes with equal values are listed together."""
+    """Return a term of a datasheet as text; axes with equal values are named together."""
     axes: dict[str, list[str]] = {}
     for axis, limits in sheet.limits.items():
         if axis.startswith(sensor) and term in limits:
@@ -53,14 +53,14 @@ def _stated(sheet: Datasheet, sensor: str, term: str) -> str:
 
 
 def page(text: str) -> str:
-    """Return the text of the page with the current table."""
+    """Return the text of docs/sensors.md with the current table."""
     before, rest = text.split(BEGIN)
     after = rest.split(END)[1]
     return f'{before}{BEGIN}\n\n{table()}\n{END}{after}'
 
 
 def main() -> None:
-    """Write the page."""
+    """Write docs/sensors.md."""
     PAGE.write_text(page(PAGE.read_text()))
 
 

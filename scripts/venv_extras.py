@@ -1,10 +1,11 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Print the extras that `make` installs: ROS wheels, if they exist for this system.
+"""Print the extras of the package that the Makefile installs.
 
 usage: venv_extras.py DISTRO [EXTRA ...]
 
-The given extras are added if there are ROS wheels.
+These are DISTRO, whose packages are the ROS wheels, and the given extras. If PyPI has no ROS wheels
+for this system, no extras are printed.
 """
 
 import importlib.util
@@ -13,11 +14,11 @@ import sys
 
 
 def main() -> None:
-    """Print the extras on stdout, and on stderr the reason if the nodes cannot run."""
+    """Print the extras to stdout, and to stderr why no ROS wheels are installed."""
     distro, *more = sys.argv[1:]
     extras: list[str] = []
     found = importlib.util.find_spec('rclpy')
-    if found and not str(found.origin).startswith(sys.prefix):  # else it is a wheel
+    if found and not str(found.origin).startswith(sys.prefix):  # not a wheel in the environment
         print('rclpy of the sourced ROS installation is used', file=sys.stderr)
     elif (
         platform.python_implementation() == 'CPython'
