@@ -27,10 +27,10 @@ DRIFT_BLOCKS = 16
 computed."""
 
 LEAST_SLOPE_RANGE_K = 3.0
-"""Range of the temperature in K below which no slope over temperature is computed."""
+"""Smallest range of temperatures in K for which a slope over temperature is computed."""
 
 HALF_POWER = 0.5
-"""Power at the upper end of the bandwidth, relative to the power of the white noise (-3 dB)."""
+"""Power at the upper end of the bandwidth, relative to the power of white noise (-3 dB)."""
 
 SMOOTHED_BINS, LEAST_DOF = 5, 40.0
 """Number of neighboring bins of which the median power is taken, and fewest degrees of freedom of
@@ -88,8 +88,8 @@ def at_rest(
     -------
     dict of axis to AtRest
     """
-    sample_counts = np.array([one.samples for one in sums.recordings], float)
-    mean = sample_counts @ np.array([one.mean for one in sums.recordings]) / sample_counts.sum()
+    sample_counts = np.array([r.samples for r in sums.recordings], float)
+    mean = sample_counts @ np.array([r.mean for r in sums.recordings]) / sample_counts.sum()
     begin_ns, length_ns, means = _block_means(sums)
     block_celsius = np.full(len(means), np.nan)
     if len(celsius) > 1 and len(means):
@@ -120,8 +120,8 @@ class TurnOnBias:
     scatter : Estimate
         Standard deviation of the biases, after the variance of the noise was subtracted. The
         standard deviation is not resolved if the noise alone may explain the differences of the
-        means. In that case there is only an upper limit, and none if the differences are improbably
-        small even for the noise alone. The interval assumes normally distributed biases.
+        means. In that case, an upper limit is given instead, or no limit if the differences are
+        improbably small even for the noise alone. The interval assumes normally distributed biases.
     """
 
     recordings: int
@@ -152,42 +152,46 @@ def turn_on_bias(means: Floats, variance: float = 0.0) -> TurnOnBias | None:
     degrees = len(means) - 1
     if degrees < 1:
         return None
-    total = float(np.var(means, ddof=1))
-    low, high = (total * degrees / quantile for quantile in chdtri(degrees, [0.025, 0.975]))
+    total_variance = float(np.var(means, ddof=1))
+    low, high = (
+        total_variance * degrees / quantile for quantile in chdtri(degrees, [0.025, 0.975])
+    )
     center = float(np.mean(means))
     scatter_limits = [math.sqrt(max(v - variance, 0.0)) for v in (low, high)]
-    if total <= variance or (variance and chdtrc(degrees, degrees * total / variance) > 0.01):
+    if total_variance <= variance or (
+        variance and chdtrc(degrees, degrees * total_variance / variance) > 0.01
+    ):
         limit = Estimate(None, None, scatter_limits[1] or None, 'not_observable')
         return TurnOnBias(len(means), center, limit)
-    scatter = Estimate(math.sqrt(total - variance), (scatter_limits[0], scatter_limits[1]))
+    scatter = Estimate(math.sqrt(total_variance - variance), (scatter_limits[0], scatter_limits[1]))
     return TurnOnBias(len(means), center, scatter)
 
 
 def _block_means(sums: AllanSums) -> tuple[Floats, float, Floats]:
     """Return the start of each block in ns, the length of a block in ns, and (blocks, axes) means.
 
-    The length in samples is a power of two, for which there are at most `DRIFT_BLOCKS` blocks.
+    The length in samples is a power of two, chosen so that there are at most `DRIFT_BLOCKS` blocks.
     """
-    recorded_means = [(one, m) for one in sums.recordings for m in one.means]
+    recorded_means = [(recording, m) for recording in sums.recordings for m in recording.means]
     step = max((m.step for _, m in recorded_means), default=1)
     while sum(m.samples // step for _, m in recorded_means) > DRIFT_BLOCKS:
         step *= 2
     length_ns = step * (sums.tau0 or 0.0) * 1e9
     begins: list[Floats] = [np.zeros(0)]
     means: list[Floats] = [np.zeros((0, len(sums.axes)))]
-    for one, m in recorded_means:
-        values = m.coarser(step).values + one.reference
+    for recording, m in recorded_means:
+        values = m.coarser(step).values + recording.reference
         begins.append(m.start_ns + length_ns * np.arange(len(values), dtype=float))
         means.append(values)
     return np.concatenate(begins), length_ns, np.concatenate(means)
 
 
 def _slope(celsius: Floats, values: Floats) -> Estimate | None:
-    """Return the change of the ``values`` per K, by least squares; None if it is unknown.
+    """Return the slope of ``values`` over temperature, per K, by least squares; None if unknown.
 
-    ``celsius`` are the temperatures of the values in degC. The interval takes into account that the
-    residuals are correlated in time: it assumes a first-order autoregressive process with the
-    measured correlation of neighboring residuals.
+    ``celsius`` are the temperatures of the values in degC. The 95 % interval takes into account
+    that the residuals are correlated in time: it assumes a first-order autoregressive process with
+    the measured correlation of neighboring residuals.
     """
     n = len(celsius)
     if n < 4 or float(np.ptp(celsius)) < LEAST_SLOPE_RANGE_K:
@@ -202,29 +206,30 @@ def _slope(celsius: Floats, values: Floats) -> Estimate | None:
 
 
 def _bandwidth(spectra: Spectra, i: int, white: float | None, tau0: float | None) -> float | None:
-    """Return the frequency in Hz up to which the power is at least half of the white noise.
+    """Return the frequency in Hz up to which the power is at least half the power of white noise.
 
-    ``i`` is the index of the axis, and ``white`` is N. Returns None if this frequency is unknown.
+    ``i`` is the index of the axis, and ``white`` is N of this axis in SI. Returns None if the
+    frequency is unknown.
     """
     if not white or not tau0:
         return None
     steps = np.array([octave(o).step for o in range(spectra.octaves)], float)
     is_precise = spectra.dof >= LEAST_DOF
-    order = np.argsort(spectra.f[is_precise], kind='stable')
-    f = spectra.f[is_precise][order]
+    ascending_f = np.argsort(spectra.f[is_precise], kind='stable')
+    f = spectra.f[is_precise][ascending_f]
     # the power of means over `step` samples is the power of the samples divided by `step`
-    power = (spectra.power[is_precise, i] * steps[spectra.octave[is_precise]])[order]
+    power = (spectra.power[is_precise, i] * steps[spectra.octave[is_precise]])[ascending_f]
     if len(f) < SMOOTHED_BINS:
         return None
     windows = np.lib.stride_tricks.sliding_window_view(power, SMOOTHED_BINS)
-    relative = np.median(windows, axis=1) / (white**2 / tau0)
+    relative_power = np.median(windows, axis=1) / (white**2 / tau0)
     center_f = f[SMOOTHED_BINS // 2 : len(f) - SMOOTHED_BINS // 2]
-    (low_bins,) = np.nonzero(relative < HALF_POWER)
+    (low_bins,) = np.nonzero(relative_power < HALF_POWER)
     if not len(low_bins):
         return 0.5 / tau0
     if low_bins[0] == 0:
         return None
-    last = int(low_bins[0]) - 1
-    log_before, log_after = (math.log(max(r, 1e-30)) for r in relative[last : last + 2])
-    share = (log_before - math.log(HALF_POWER)) / (log_before - log_after)
-    return float(center_f[last] * (center_f[last + 1] / center_f[last]) ** share) / tau0
+    k = int(low_bins[0]) - 1
+    log_before, log_after = (math.log(max(r, 1e-30)) for r in relative_power[k : k + 2])
+    fraction = (log_before - math.log(HALF_POWER)) / (log_before - log_after)
+    return float(center_f[k] * (center_f[k + 1] / center_f[k]) ** fraction) / tau0

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Cascade of sums of one segment: second differences of the phase, and octave spectra.
+"""Sums of one segment, in levels of decreasing rate: second differences and octave spectra.
 
 Algorithm
 ---------
@@ -86,11 +86,11 @@ class LevelSums:
     """Sums of one level of the cascade over some blocks; ``+`` adds the sums over other blocks."""
 
     level: int
-    # (2 factors + bins, axes): sums of squares of the second differences, sums of squares of the
+    # (2 * factors + bins, axes): sums of squares of the second differences, sums of squares of the
     # non-overlapping differences, and power of the bins
     values: Floats
-    # (2 factors + 2 octaves,): numbers of second differences, of non-overlapping differences, of
-    # spectral blocks in each octave, and of pairs of overlapping spectral blocks in each octave
+    # (2 * factors + 2 * octaves,): numbers of second differences, of non-overlapping differences,
+    # of spectral blocks in each octave, and of pairs of overlapping spectral blocks in each octave
     counts: Ints
 
     @classmethod
@@ -133,7 +133,7 @@ class Block:
 
 @lru_cache
 def _half_tapers(o: int, kind: str) -> Floating:
-    """Return the tapers of both halves of a block, (half a block, 4 bins).
+    """Return the tapers of both halves of a spectral block, (points per half block, 4 * bins).
 
     There are four columns for each bin: first the real parts in the first half of the block for all
     bins, then the imaginary parts in the first half, the real parts in the second half, and the
@@ -150,7 +150,7 @@ def _half_tapers(o: int, kind: str) -> Floating:
 class _HalfBlocks:
     """Last half block of each octave of a group, which is also the first half of the next block."""
 
-    # (octaves, axes, 2 bins) products of the points with the tapers of the first half of a block
+    # (octaves, axes, 2 * bins) products of the points with the tapers of the first half of a block
     early: Floating
     # (octaves,) number of interpolated samples in the half block; infinite before the first sample
     interpolated: Floats
@@ -158,7 +158,7 @@ class _HalfBlocks:
 
     @classmethod
     def none(cls, octaves: range, axes: int, kind: str) -> _HalfBlocks:
-        """Return the half blocks before the first sample."""
+        """Return the half blocks of a new segment, before its first sample."""
         number, columns = len(octaves), 2 * len(octave(octaves[0]).bins)
         early = np.zeros((number, axes, columns), kind)
         return cls(early, np.full(number, np.inf), np.zeros(number, bool))
@@ -168,7 +168,7 @@ class _HalfBlocks:
 
 
 class _Rows(NamedTuple):
-    """Rows of the half blocks of an octave, sorted by axis, then by time."""
+    """Rows of an octave in a matrix of half blocks, which are sorted by axis, then by time."""
 
     octave: int
     half: int  # samples per half block
@@ -178,7 +178,7 @@ class _Rows(NamedTuple):
 
 
 class _Layout(NamedTuple):
-    """Rows of the half blocks of a group of octaves in n samples or in n sums over samples."""
+    """Rows of the half blocks of a group of octaves, for n points of a level."""
 
     octaves: list[_Rows]  # without the octaves whose half blocks are longer than n
     firsts: Ints  # (octaves * axes,) row of the first half block
@@ -187,7 +187,7 @@ class _Layout(NamedTuple):
 
 @lru_cache(256)
 def _layout(octaves: range, axes: int, n: int) -> _Layout:
-    """Return the rows of the half blocks in n samples or in n sums over samples."""
+    """Return the rows of the half blocks of a group of octaves, for n points of a level."""
     rows: list[_Rows] = []
     for o in octaves:
         half, begin = octave(o).size // 2, rows[-1].end if rows else 0
@@ -199,7 +199,7 @@ def _layout(octaves: range, axes: int, n: int) -> _Layout:
 
 
 class _GroupSums(NamedTuple):
-    """Power of the blocks of a group of octaves that end in some samples."""
+    """Power of the spectral blocks of a group of octaves that end in a chunk of points."""
 
     power: Floats  # (bins of all octaves, axes)
     blocks: list[int]  # number of blocks of each octave
@@ -208,7 +208,7 @@ class _GroupSums(NamedTuple):
 
 
 class _RunningLevel:
-    """State of one level for the current segment: its latest points and half blocks.
+    """State of one level of the cascade in the current segment: the latest points and half blocks.
 
     ``points`` contains the last `_KEPT` points of earlier blocks, then the first ``fill`` points of
     the current block. There is one row for each axis. The last row contains the number of
@@ -281,20 +281,21 @@ class _RunningLevel:
 def _group_sums(
     samples: Floating, interpolated: Floats, octaves: range, before: _HalfBlocks
 ) -> _GroupSums:
-    """Return the power of a group of octaves in n samples or in n sums over samples, (axes, n).
+    """Return the power of the spectral blocks of a group of octaves that end in n points.
 
-    ``interpolated``, (n,), is the number of interpolated samples in each sample or sum, and
-    ``before`` are the last half blocks before these samples or sums.
+    ``samples``, (axes, n), are the points of a level: samples or sums over samples.
+    ``interpolated``, (n,), is the number of interpolated samples in each point, and ``before`` are
+    the last half blocks before these points.
     """
     octave_count, axes, columns = before.early.shape
     layout, last = _layout(octaves, *samples.shape), before.copy()
     amplitudes = _amplitudes(samples, layout, before.early, last.early)
-    all_used = not (interpolated.any() or before.interpolated.any())
+    all_blocks_are_used = not (interpolated.any() or before.interpolated.any())
     blocks, pairs = [0] * octave_count, [0] * octave_count
     squares = np.zeros(before.early.shape)
     for i, (o, half, number, begin, end) in enumerate(layout.octaves):
         block_amplitudes = amplitudes[begin:end].reshape(axes, number, columns)
-        if all_used:
+        if all_blocks_are_used:
             blocks[i], pairs[i] = number, number - (not before.used[i])
             last.used[i] = True
         else:
@@ -302,7 +303,7 @@ def _group_sums(
             counts = np.concatenate([before.interpolated[i : i + 1], counts])
             is_used = counts[:-1] + counts[1:] <= MAX_INTERPOLATED * octave(o).length
             block_amplitudes = block_amplitudes[:, is_used]
-            # preceded by the flag of the last block before these samples
+            # the first flag is the flag of the last block before these points
             is_used = np.concatenate([before.used[i : i + 1], is_used])
             blocks[i] = int(np.count_nonzero(is_used[1:]))
             pairs[i] = int(np.count_nonzero(is_used[1:] & is_used[:-1]))
@@ -313,9 +314,9 @@ def _group_sums(
 
 
 def _amplitudes(samples: Floating, layout: _Layout, before: Floating, last: Floating) -> Floats:
-    """Return the amplitudes of the blocks that end with each half block, (rows, 2 bins).
+    """Return the amplitudes of the blocks that end with each half block, (rows, 2 * bins).
 
-    ``before``, (octaves, axes, 2 bins), is the product of the half block before the first sample
+    ``before``, (octaves, axes, 2 * bins), is the product of the half block before the first sample
     with the tapers of the first half. The same product of the last half block is written to
     ``last``.
     """
@@ -344,53 +345,56 @@ def _amplitudes(samples: Floating, layout: _Layout, before: Floating, last: Floa
 def _second_differences(
     points: Floats, summed: int, factors: tuple[int, ...]
 ) -> tuple[list[Floats], list[Floats], list[int]]:
-    """Return sums of squares of all and of non-overlapping differences, and their numbers.
+    """Return sums of squares and numbers of all and of the non-overlapping second differences.
 
-    Each list has one element for each factor; the last list has first the numbers of all
-    differences, then the numbers of the non-overlapping ones. ``points``, (axes, `_KEPT` + n), are
-    `_KEPT` earlier points, of which only the last ``summed`` are in the segment, and the points of
-    a block. Only differences that end in the block are counted.
+    The first list has the sums of squares of all differences, (1, axes), for each factor, and the
+    second list has the sums of squares of the non-overlapping differences. The last list has first
+    the numbers of all differences, then the numbers of the non-overlapping differences.
+
+    ``points``, (axes, `_KEPT` + n), are `_KEPT` earlier points, of which only the last ``summed``
+    are in the segment, and the n points of a block. Only differences that end in the block are
+    counted.
     """
     axes, columns = points.shape
     x = points.reshape(-1)  # operations on one long row take less time than on short ones
     d, *work = _work.arrays('f8', *3 * [x.shape])
-    by_axis = d.reshape(axes, columns)
+    d_by_axis = d.reshape(axes, columns)
     squares, group_squares, numbers, group_numbers = [], [], [], []
     for f, sums in zip(factors, _sums_over(factors, x, *work)):
         first = _KEPT - min(summed, 2 * f - 1)
         end = max(columns - 2 * f + 1, first)
         size = max(x.size - 2 * f + 1, 0)
         np.subtract(sums[f : f + size], sums[:size], out=d[:size])
-        squares.append(_squares(by_axis[:, first:end]))
+        squares.append(_squares(d_by_axis[:, first:end]))
         numbers.append(end - first)
-        non_overlapping = by_axis[:, first + -(summed - _KEPT + first) % f : end : f]
+        non_overlapping = d_by_axis[:, first + -(summed - _KEPT + first) % f : end : f]
         group_squares.append(_squares(non_overlapping) if f > 1 else squares[-1])
         group_numbers.append(non_overlapping.shape[1])
     return squares, group_squares, numbers + group_numbers
 
 
 def _sums_over(
-    factors: tuple[int, ...], x: Floats, pairs: Floats, more: Floats
+    factors: tuple[int, ...], x: Floats, pairs: Floats, scratch: Floats
 ) -> Iterator[Floats]:
     """Yield the sums over f neighboring points x, (n - f + 1,), for ascending factors f.
 
-    The factors must be 1, 3 or even. The work arrays ``pairs`` and ``more``, (n,), are overwritten.
-    A yielded array is valid only until the next one is yielded.
+    The factors must be 1, 3 or even. The work arrays ``pairs`` and ``scratch``, (n,), are
+    overwritten. A yielded array is valid only until the next array is yielded.
     """
     sums, width = np.add(x[:-1], x[1:], out=pairs[:-1]), 2
     for f in factors:
         while width + 1 < f:
             size = len(sums) - 2
-            sums = np.add(sums[:size], pairs[width : width + size], out=more[:size])
+            sums = np.add(sums[:size], pairs[width : width + size], out=scratch[:size])
             width += 2
         if f == width:
             yield sums
         else:
-            yield x if f == 1 else np.add(sums[:-1], x[width:], out=more[: len(sums) - 1])
+            yield x if f == 1 else np.add(sums[:-1], x[width:], out=scratch[: len(sums) - 1])
 
 
 def _squares(d: Floats) -> Floats:
-    """Return the sum of squares of each row, (1, rows), with one dot product for each row."""
+    """Return the sum of squares of each row of an array, (1, rows), by one dot product per row."""
     return np.asarray(np.matmul(d[:, None, :], d[:, :, None])[:, 0, 0])[None]
 
 
@@ -417,17 +421,17 @@ class Cascade:
         at, n = 0, samples.shape[1]
         bottom = self._levels[0]
         while at < n:
-            take = min(bottom.size - bottom.fill, n - at)
-            points = bottom.extend(take)
-            np.subtract(samples[:, at : at + take], self.reference[:, None], out=points[:-1])
-            points[-1] = 0.0 if interpolated is None else interpolated[at : at + take]
-            at += take
-            self.samples += take
+            number = min(bottom.size - bottom.fill, n - at)
+            points = bottom.extend(number)
+            np.subtract(samples[:, at : at + number], self.reference[:, None], out=points[:-1])
+            points[-1] = 0.0 if interpolated is None else interpolated[at : at + number]
+            at += number
+            self.samples += number
             if bottom.fill == bottom.size:
                 yield from self._close()
 
     def _close(self) -> Iterator[Block]:
-        """Yield the full blocks, from level 0 on, and begin new ones."""
+        """Yield the full blocks, from level 0 on, and begin new blocks."""
         for j in itertools.count():
             level = self._levels[j]
             if level.fill < level.size:

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Noise that sensors at rest have in common, such as vibration, and the own noise of each sensor.
+"""Measures noise that sensors at rest have in common (vibration), and the own noise of each sensor.
 
 Method
 ------
@@ -76,10 +76,10 @@ class CommonNoise:
         Correlation of the second differences of the axis with the second differences of the mean of
         the other IMUs, or of the other axis. It is 0 for independent noise, and 1 for common noise.
     measured : Estimate or None
-        N of all noise of the axis in SI. None if two axes are compared.
+        N of the axis in SI, including common noise. None if two axes are compared.
     own : Estimate or None
         N in SI without the noise that all IMUs measure equally. With two IMUs, only the root mean
-        square of their two own N is known; both have this value. None if two axes are compared, or
+        square of both values is known, and is given for both. None if two axes are compared, or
         if the IMUs do not measure the common noise equally.
     gain : float
         Factor with which the IMU measures the common noise; the geometric mean of the factors of
@@ -120,28 +120,31 @@ def common_noise(axis: str, imus: Sequence[Samples], labels: Sequence[str]) -> l
     Returns
     -------
     list of CommonNoise
-        One for each IMU.
+        One item for each IMU.
 
     Raises
     ------
     AllanError
         If the rates differ, or the recordings overlap for too short a time.
     """
-    parts, number, rows = aligned(imus), len(imus), []
-    measures = transfer([part.values for part in parts])
-    parts = [part._replace(values=part.values / measures.gains[:, None]) for part in parts]
+    parts, imu_count, rows = aligned(imus), len(imus), []
+    imu_transfer = transfer([part.values for part in parts])
+    parts = [part._replace(values=part.values / imu_transfer.gains[:, None]) for part in parts]
     blocks = _sums(axis, parts)
-    covariance, noise = _allan_covariance(blocks, number), white_noise(blocks, number)
+    covariance, noise = _allan_covariance(blocks, imu_count), white_noise(blocks, imu_count)
     for i, label in enumerate(labels):
-        weights_of_this = np.eye(number)[i]
-        weights_of_others = (1.0 - weights_of_this) / (number - 1)
-        coherence = _coherence(*covariance, weights_of_this, weights_of_others)
-        gain = float(measures.gains[i])
+        weights_of_imu = np.eye(imu_count)[i]
+        weights_of_others = (1.0 - weights_of_imu) / (imu_count - 1)
+        coherence = _coherence(*covariance, weights_of_imu, weights_of_others)
+        gain = float(imu_transfer.gains[i])
         measured, own_noise = (
-            None if one is None else one.times(gain) for one in (noise[i], noise[number + i])
+            None if estimate is None else estimate.times(gain)
+            for estimate in (noise[i], noise[imu_count + i])
         )
-        own_noise = own_noise if measures.is_equal else None
-        rows.append(CommonNoise(axis, label, coherence, measured, own_noise, gain, measures.leak))
+        own_noise = own_noise if imu_transfer.is_equal else None
+        rows.append(
+            CommonNoise(axis, label, coherence, measured, own_noise, gain, imu_transfer.leak)
+        )
     return rows
 
 
@@ -158,9 +161,9 @@ def common_of_axes(
         If the rates differ, or there are too few samples.
     """
     blocks = _sums(axes[0], aligned(samples))
-    covariance, unit = _allan_covariance(blocks, len(axes)), np.eye(len(axes))
+    covariance, basis = _allan_covariance(blocks, len(axes)), np.eye(len(axes))
     return [
-        CommonNoise(f'{axes[i]} {axes[j]}', label, _coherence(*covariance, unit[i], unit[j]))
+        CommonNoise(f'{axes[i]} {axes[j]}', label, _coherence(*covariance, basis[i], basis[j]))
         for i, j in combinations(range(len(axes)), 2)
     ]
 
@@ -168,9 +171,9 @@ def common_of_axes(
 def aligned(sensors: Sequence[Samples]) -> list[Samples]:
     """Return the samples of all sensors at the times of the first sensor, in parts without a gap.
 
-    For each stamp of the first sensor, the sample with the nearest stamp of each other sensor is
+    For each stamp of the first sensor, the sample of each other sensor with the nearest stamp is
     used. A stamp is excluded if the nearest stamp of some sensor is more than one sample period
-    away. The values of each part are (sensors, n).
+    away. The values of each part are in SI, (sensors, n).
 
     Raises
     ------
@@ -182,25 +185,25 @@ def aligned(sensors: Sequence[Samples]) -> list[Samples]:
         rates = ', '.join(f'{1e9 / period:.6g}' for period in periods)
         raise AllanError(f'the rates differ ({rates} Hz): record all IMUs at the same rate')
     times = sensors[0].stamps
-    has_all_sensors, rows = np.ones(len(times), bool), []
+    has_all_sensors, values_at_times = np.ones(len(times), bool), []
     for stamps, values in sensors:
         next_indices = np.searchsorted(stamps, times).clip(1, len(stamps) - 1)
         nearest_indices = next_indices - (
             times - stamps[next_indices - 1] < stamps[next_indices] - times
         )
         has_all_sensors &= np.abs(stamps[nearest_indices] - times) <= periods[0]
-        rows.append(values[nearest_indices])
+        values_at_times.append(values[nearest_indices])
     used_indices = np.flatnonzero(has_all_sensors)
     parts = np.split(
         used_indices, np.flatnonzero(np.diff(times[used_indices]) > 1.5 * periods[0]) + 1
     )
-    return [Samples(times[part], np.array(rows)[:, part]) for part in parts if len(part)]
+    return [Samples(times[part], np.array(values_at_times)[:, part]) for part in parts if len(part)]
 
 
-def _pairs(number: int) -> Floats:
-    """Return the weights of the sensors in the difference of each pair, (pairs, sensors)."""
-    unit = np.eye(number)
-    return np.array([unit[i] - unit[j] for i, j in combinations(range(number), 2)])
+def _pairs(sensor_count: int) -> Floats:
+    """Return the weight of each sensor in the difference of each pair, (pairs, sensors)."""
+    basis = np.eye(sensor_count)
+    return np.array([basis[i] - basis[j] for i, j in combinations(range(sensor_count), 2)])
 
 
 def _sums(axis: str, parts: Sequence[Samples]) -> list[AllanSums]:
@@ -210,12 +213,12 @@ def _sums(axis: str, parts: Sequence[Samples]) -> list[AllanSums]:
     `aligned`. The `BLOCKS` blocks have equal numbers of samples. Raises AllanError if the blocks
     are too short.
     """
-    number = len(parts[0].values) if parts else 0
-    pairs = _pairs(number) if number else np.zeros((0, 0))
+    sensor_count = len(parts[0].values) if parts else 0
+    pairs = _pairs(sensor_count) if sensor_count else np.zeros((0, 0))
     size = sum(len(part.stamps) for part in parts) // BLOCKS
     if size < LEAST_BLOCK:
         raise AllanError('the recordings have too little time in common: record them together')
-    names = tuple(f'{axis} {i}' for i in range(number + len(pairs)))
+    names = tuple(f'{axis} {i}' for i in range(sensor_count + len(pairs)))
     running, blocks = RunningSums(ImuIdentity(), names), []
     for stamps, rows in parts:
         while len(stamps):
@@ -230,20 +233,22 @@ def _sums(axis: str, parts: Sequence[Samples]) -> list[AllanSums]:
     return blocks
 
 
-def _allan_covariance(blocks: Sequence[AllanSums], number: int) -> tuple[Floats, Floats, Floats]:
+def _allan_covariance(
+    blocks: Sequence[AllanSums], sensor_count: int
+) -> tuple[Floats, Floats, Floats]:
     """Return averaging times, Allan covariances, and degrees of freedom of the covariances.
 
-    They are (taus,), (taus, sensors, sensors) and (taus,). ``number`` is the number of sensors, and
-    ``blocks`` are from `_sums`. Averaging times with too few degrees of freedom are omitted.
+    The arrays are (taus,), (taus, sensors, sensors) and (taus,). ``blocks`` are from `_sums`.
+    Averaging times with too few degrees of freedom are omitted.
     """
     curve = allan_curve(reduce(add, blocks))
     # the covariance of two independent sensors has at least as many degrees of freedom as the
     # geometric mean of the degrees of freedom of both Allan variances
-    mean_edf = np.exp(np.log(curve.edf[:, :number]).mean(axis=1))
+    mean_edf = np.exp(np.log(curve.edf[:, :sensor_count]).mean(axis=1))
     has_enough_edf = mean_edf >= LEAST_DEGREES
     avar = curve.adev[has_enough_edf] ** 2
-    covariance = np.array([np.diag(row[:number]) for row in avar])
-    for column, (i, j) in enumerate(combinations(range(number), 2), number):
+    covariance = np.array([np.diag(row[:sensor_count]) for row in avar])
+    for column, (i, j) in enumerate(combinations(range(sensor_count), 2), sensor_count):
         pair_covariance = (avar[:, i] + avar[:, j] - avar[:, column]) / 2.0
         covariance[:, i, j] = covariance[:, j, i] = pair_covariance
     return curve.tau[has_enough_edf], covariance, mean_edf[has_enough_edf]
@@ -263,11 +268,12 @@ def _coherence(tau: Floats, covariance: Floats, degrees: Floats, a: Floats, b: F
 
 
 def white_noise(blocks: Sequence[AllanSums], number: int) -> list[Estimate | None]:
-    """Return N of each sensor, then the own N of each sensor, in SI with 95 % intervals.
+    """Return N of each sensor, then own N of each sensor, in SI with 95 % intervals.
 
     N is fitted together with Q, B and K to the Allan variances by weighted least squares. The
-    interval is from a jackknife over the blocks. N is None if the samples are constant. With two
-    sensors, only the root mean square of their two own N is known; both have this value.
+    interval is from a jackknife over the blocks. N is None if the samples are constant. *Own N* is
+    N without the common noise. With two sensors, only the root mean square of both values of own N
+    is known, and is given for both.
 
     ``blocks`` are from `_sums`, and ``number`` is the number of sensors.
     """
@@ -292,8 +298,8 @@ def white_noise(blocks: Sequence[AllanSums], number: int) -> list[Estimate | Non
         curves(squares.sum(axis=0) - s, count.sum(axis=0) - c) for s, c in zip(squares, count)
     ]
     white, quantization = 1.0 / tau, 3.0 / tau**2
-    # estimates of N^2 and Q^2 may be negative (Q^2, because the stamps of the sensors differ). The
-    # fit has only nonnegative coefficients, so the terms of N^2 and Q^2 occur with both signs
+    # the estimate of N^2 may be negative, and also the estimate of Q^2, because the stamps of the
+    # sensors differ. The fit has only nonnegative coefficients, so these terms have both signs
     signed_terms = white, -white, quantization, -quantization
     terms = np.stack([*signed_terms, np.ones(factors), tau / 3.0], axis=1)
     estimates: list[Estimate | None] = []
@@ -302,21 +308,25 @@ def white_noise(blocks: Sequence[AllanSums], number: int) -> list[Estimate | Non
             estimates.append(None)
             continue
         squares_of_n = [
-            _level(terms, curve[:, column], error)
+            _squared_n(terms, curve[:, column], error)
             for curve in (curve_of_all, *curves_without_block)
         ]
-        half = T_95 * np.sqrt((BLOCKS - 1) * np.var(squares_of_n[1:]))
-        high = float(np.sqrt(max(squares_of_n[0], 0.0) + half))
-        if squares_of_n[0] > half:
-            ci95 = float(np.sqrt(squares_of_n[0] - half)), high
+        half_width = T_95 * np.sqrt((BLOCKS - 1) * np.var(squares_of_n[1:]))
+        upper_end = float(np.sqrt(max(squares_of_n[0], 0.0) + half_width))
+        if squares_of_n[0] > half_width:
+            ci95 = float(np.sqrt(squares_of_n[0] - half_width)), upper_end
             estimates.append(Estimate(float(np.sqrt(squares_of_n[0])), ci95))
         else:
-            estimates.append(Estimate(None, upper95=high, status='not_observable'))
+            estimates.append(Estimate(None, upper95=upper_end, status='not_observable'))
     return estimates
 
 
-def _level(terms: Floats, curve: Floats, error: Floats) -> float:
-    """Return N^2, the difference of the first two coefficients of a nonnegative fit."""
+def _squared_n(terms: Floats, curve: Floats, error: Floats) -> float:
+    """Return N^2, the difference of the first two coefficients of a nonnegative fit.
+
+    ``terms``, (taus, terms), are fitted to ``curve``, (taus,), which has the standard errors
+    ``error``, (taus,).
+    """
     matrix = terms / error[:, None]
     scale = np.linalg.norm(matrix, axis=0)
     coefficients = nonnegative_least_squares(matrix / scale, curve / error) / scale

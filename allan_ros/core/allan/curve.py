@@ -38,8 +38,8 @@ WHITE_PHASE, WHITE, FLICKER, RANDOM_WALK = 2, 0, -1, -2
 table 2). Flicker phase noise (1) counts as white phase noise, whose curve has the same slope."""
 
 LONGEST_LAG = 6
-"""Largest lag in the sum of rho^2, in units of m. For flicker noise, larger lags would change the
-sum by less than 1e-4."""
+"""Largest lag, in averaging factors m, up to which squared correlations of second differences are
+summed. For flicker noise, larger lags would change the sum by less than 1e-4."""
 
 
 def edf(noise_type: int, m: int, stride: int, counts: ArrayLike, number: ArrayLike = 1) -> float:
@@ -48,7 +48,7 @@ def edf(noise_type: int, m: int, stride: int, counts: ArrayLike, number: ArrayLi
     Parameters
     ----------
     noise_type : int
-        Exponent alpha of the spectrum ~ f^alpha: 2, 0, -1 or -2.
+        Exponent alpha of the spectrum ~ f^alpha of the samples: 2, 0, -1 or -2.
     m : int
         Averaging factor.
     stride : int
@@ -140,7 +140,7 @@ def chi_squared_limits(avar: ArrayLike, degrees: ArrayLike) -> tuple[Floats, Flo
 
 
 SLOPE_RANGE = 4.0
-"""Range of the points to which the slope at the factor m is fitted: from m/4 to 4 m."""
+"""The slope of the curve at the averaging factor m is fitted to the points from m/4 to 4 m."""
 
 MIN_AVERAGES = 16
 """Shortest recording, in averaging times, for which the slope of the curve at an averaging time is
@@ -172,7 +172,7 @@ def noise_types_of_avar(m: Ints, avar: Floats, samples: int) -> Ints:
     (factors, axes) int64 array
     """
     slopes = _local_slopes(m, avar, np.where(MIN_AVERAGES * m <= samples, samples / m, 0.0))
-    out = np.empty(avar.shape, np.int64)
+    types = np.empty(avar.shape, np.int64)
     for axis in range(avar.shape[1]):
         noise_type = WHITE
         for i, slope in enumerate(slopes[:, axis]):
@@ -181,15 +181,18 @@ def noise_types_of_avar(m: Ints, avar: Floats, samples: int) -> Ints:
                 noise_type = (
                     WHITE_PHASE if is_white_phase else max(round(-1.0 - slope), RANDOM_WALK)
                 )
-            out[i, axis] = noise_type
-    return out
+            types[i, axis] = noise_type
+    return types
 
 
 def _local_slopes(m: Ints, avar: Floats, weights: Floats) -> Floats:
-    """Return the weighted slope of log avar over log m near each factor; NaN without two points."""
+    """Return the slope of log avar over log m near each factor; NaN with fewer than two points.
+
+    The points are weighted by ``weights``, (factors,).
+    """
     x = np.log(m.astype(float))
     distance = np.log(SLOPE_RANGE) * (1.0 + 1e-9)
-    out = np.full(avar.shape, np.nan)
+    slopes = np.full(avar.shape, np.nan)
     for axis in range(avar.shape[1]):
         has_variance = (weights > 0.0) & (avar[:, axis] > 0.0)
         xs, ws, ys = x[has_variance], weights[has_variance], np.log(avar[has_variance, axis])
@@ -199,8 +202,8 @@ def _local_slopes(m: Ints, avar: Floats, weights: Floats) -> Floats:
                 continue
             w = ws[is_near] / ws[is_near].sum()
             dx = xs[is_near] - w @ xs[is_near]
-            out[i, axis] = (w * dx) @ ys[is_near] / ((w * dx) @ dx)
-    return out
+            slopes[i, axis] = (w * dx) @ ys[is_near] / ((w * dx) @ dx)
+    return slopes
 
 
 UNCERTAIN = 1.5
@@ -276,36 +279,36 @@ class AllanCurve(AxisCurve):
 
 
 def sample_period(sums: AllanSums) -> float:
-    """Return the sample period of the sums in s; raise `AllanError` with fewer than two samples."""
+    """Return the sample period in s; raise `AllanError` if the sums have fewer than two samples."""
     if sums.tau0 is None:
         raise AllanError('an Allan curve needs at least two samples: record for some minutes')
     return sums.tau0
 
 
 def allan_curve(sums: AllanSums) -> AllanCurve:
-    """Return the Allan deviation curve of the sums, at the averaging factors that have data.
+    """Return the Allan deviation curve of Allan sums, at the averaging factors that have data.
 
     Raises
     ------
     AllanError
-        If there are fewer than two samples.
+        If the sums have fewer than two samples.
     """
     tau0 = sample_period(sums)
     has_data = sums.count > 0
     m, stride, avar = sums.m[has_data], sums.stride[has_data], sums.avar[has_data]
     types = noise_types_of_avar(m, avar, sums.samples)
     adev, n = np.sqrt(avar), sums.count[has_data]
-    # the sums of a part of a recording contain fewer differences than complete segments would
+    # a part of a recording has fewer differences than complete segments of the same lengths
     complete_count = sum(k * counts(round(size), m, stride) for size, k in sums.length_histogram)
-    share = np.minimum(n / np.maximum(complete_count, 1), 1.0)[:, None]
-    degrees = share * degrees_of_freedom(sums, m, stride, types)
+    complete_share = np.minimum(n / np.maximum(complete_count, 1), 1.0)[:, None]
+    degrees = complete_share * degrees_of_freedom(sums, m, stride, types)
     low, high = chi_squared_limits(avar, degrees)
     tau = np.asarray(m * tau0, float)
     return AllanCurve(m, tau, n, adev, low, high, sums.axes, degrees, types)
 
 
 def degrees_of_freedom(sums: AllanSums, m: Ints, stride: Ints, types: Ints) -> Floats:
-    """Return the equivalent degrees of freedom of the Allan variances of the sums.
+    """Return the equivalent degrees of freedom of the Allan variances from Allan sums.
 
     All segments of a length class are assumed to have the mean length of the class.
 
@@ -346,15 +349,15 @@ class Spectra:
     """Mean power of the spectral blocks in all bins, from octave 0 (high frequencies) on.
 
     The powers of the bins of an octave are correlated, and so are overlapping blocks. ``dof`` are
-    the dof of freedom of the mean power of one bin. A sum over all bins is as accurate as if
-    each bin was independent and had ``shared_dof`` dof of freedom.
+    the degrees of freedom of the mean power of one bin. A sum over all bins is as accurate as if
+    each bin was independent and had ``shared_dof`` degrees of freedom.
     """
 
     octave: Ints  # (bins,) octave of each bin
     f: Floats  # (bins,) center frequencies in cycles per sample
     power: Floats  # (bins, axes) in the squared unit of the samples
-    dof: Floats  # (bins,) dof of freedom of the power of a bin
-    shared_dof: Floats  # (bins,) dof of freedom of the power of a bin in a sum over all bins
+    dof: Floats  # (bins,) degrees of freedom of the power of a bin
+    shared_dof: Floats  # (bins,) degrees of freedom of the power of a bin in a sum over all bins
     clump: Floats  # (bins,) sum of the squared correlations of a bin with all bins of its block
     blocks: Ints  # (octaves,) number of blocks
     pairs: Ints  # (octaves,) number of pairs of overlapping blocks
@@ -366,27 +369,27 @@ class Spectra:
 
 
 def pooled_spectra(sums: AllanSums) -> Spectra:
-    """Return the mean power over all spectral blocks of the sums."""
+    """Return the mean power over all spectral blocks in Allan sums."""
     periods = sums.periods
-    no_counts, width = np.zeros(0, np.int64), len(sums.axes)
+    no_counts, axis_count = np.zeros(0, np.int64), len(sums.axes)
     blocks, pairs = (
         totals([no_counts, *(getattr(p, k) for p in periods)]) for k in ('blocks', 'pairs')
     )
-    power = totals([np.zeros((0, width)), *(p.power for p in periods)])
+    power = totals([np.zeros((0, axis_count)), *(p.power for p in periods)])
     octaves = [octave(o) for o in range(len(blocks))]
-    octave_of_bin = np.repeat(np.arange(len(blocks)), [len(one.bins) for one in octaves])
-    f = [np.array(one.bins) / one.length for one in octaves]
-    degrees = np.zeros((3, len(blocks)))
-    for o in np.flatnonzero(blocks):  # degrees stay 0 if all blocks are excluded
+    octave_of_bin = np.repeat(np.arange(len(blocks)), [len(band.bins) for band in octaves])
+    f = [np.array(band.bins) / band.length for band in octaves]
+    dof_and_clump = np.zeros((3, len(blocks)))
+    for o in np.flatnonzero(blocks):  # the values stay 0 if all blocks are excluded
         same_block, next_blocks = overlap(int(o))
         covariance = (blocks[o] * same_block + pairs[o] * next_blocks) / float(blocks[o]) ** 2
         variance = covariance[np.argmax(same_block)]
         clump = np.sum((covariance / variance) ** 2)
-        degrees[:, o] = 2.0 / variance, 2.0 / covariance.sum(), clump
-    mean = power / np.maximum(blocks[octave_of_bin], 1)[:, None]
+        dof_and_clump[:, o] = 2.0 / variance, 2.0 / covariance.sum(), clump
+    mean_power = power / np.maximum(blocks[octave_of_bin], 1)[:, None]
     frequency = np.concatenate([np.zeros(0), *f])
-    dof, shared, clump = degrees[:, octave_of_bin]
-    return Spectra(octave_of_bin, frequency, mean, dof, shared, clump, blocks, pairs)
+    dof, shared_dof, clump = dof_and_clump[:, octave_of_bin]
+    return Spectra(octave_of_bin, frequency, mean_power, dof, shared_dof, clump, blocks, pairs)
 
 
 @dataclass(frozen=True)
@@ -398,13 +401,13 @@ class Spectrum:
     psd: Floats  # (points, axes) density in the squared unit of the samples per Hz
     low: Floats  # (points, axes) lower limit of ``psd``
     high: Floats  # (points, axes) upper limit of ``psd``
-    bin: NDArray[np.int64]  # (points,) index of each point in the bins of all octaves
+    bin: NDArray[np.int64]  # (points,) index of the bin of each point, counted over all octaves
     octaves: int  # number of octaves, up to the octave of the lowest frequency
-    step: NDArray[np.int64]  # (points,) samples per mean of the blocks of each point
+    step: NDArray[np.int64]  # (points,) samples per mean in the spectral blocks of each point
 
 
 def noise_density(sums: AllanSums) -> Spectrum | None:
-    """Return the power spectral density of the samples; None if there is no complete block."""
+    """Return the power spectral density of the samples; None without a complete spectral block."""
     spectra = pooled_spectra(sums)
     used_bins = np.flatnonzero(spectra.dof > 0.0)
     if not len(used_bins) or not sums.tau0:

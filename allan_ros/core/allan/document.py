@@ -32,7 +32,7 @@ SUMS_SCHEMA = 'allan_ros/sums/5'
 """Name and version of the document format; the reader rejects other formats."""
 
 MAX_FACTORS = len(FIRST_FACTORS) + len(LEVEL_FACTORS) * MAX_LEVELS
-"""Largest accepted number of averaging factors. More factors would require centuries of samples."""
+"""Largest accepted number of averaging factors; more would require centuries of samples."""
 
 MAX_OCTAVES = SAMPLE_OCTAVES + MAX_LEVELS
 """Largest accepted number of octaves."""
@@ -79,7 +79,7 @@ def checksum_of(document: Mapping[str, Any]) -> str:
 def _recording_to_document(recording: RecordedPeriods, factors: int) -> dict[str, Any]:
     """Return the document of a recording.
 
-    Each quantity is one array over all periods, because one array compresses better than several.
+    Each quantity is one array over all periods, because one array compresses better than many.
     """
     periods = recording.periods
     octaves = max(len(p.blocks) for p in periods)
@@ -111,10 +111,10 @@ def _recording_to_document(recording: RecordedPeriods, factors: int) -> dict[str
 
 def _padded(arrays: Sequence[NDArray[Any]], rows: int) -> NDArray[Any]:
     """Return arrays of different lengths as one array, (arrays, rows, ...), padded with zeros."""
-    out = np.zeros((len(arrays), rows, *arrays[0].shape[1:]), arrays[0].dtype)
-    for padded, array in zip(out, arrays):
-        padded[: len(array)] = array
-    return out
+    padded_arrays = np.zeros((len(arrays), rows, *arrays[0].shape[1:]), arrays[0].dtype)
+    for row, array in zip(padded_arrays, arrays):
+        row[: len(array)] = array
+    return padded_arrays
 
 
 def _packed(values: NDArray[Any]) -> str:
@@ -136,11 +136,11 @@ def _array(fields: Fields, key: str, shape: tuple[int, ...], least: Any, most: A
     where, number = f'{fields.where}.{key}', math.prod(shape)
     text = fields.text(key, longest=12 * number + 100)
     try:
-        stream = zlib.decompressobj()
-        data = stream.decompress(base64.b64decode(text, validate=True), 8 * number + 1)
+        decompressor = zlib.decompressobj()
+        data = decompressor.decompress(base64.b64decode(text, validate=True), 8 * number + 1)
     except (ValueError, zlib.error) as error:
         raise AllanError(f'{where} cannot be unpacked: {error!r}') from error
-    if not stream.eof or len(data) != 8 * number:
+    if not decompressor.eof or len(data) != 8 * number:
         raise AllanError(f'{where} does not have the expected {number} numbers')
     dtype = '<f8' if np.asarray(least).dtype.kind == 'f' else '<i8'
     bytes_by_place = np.frombuffer(data, np.uint8).reshape(8, number)
@@ -161,33 +161,33 @@ def sums_from_document(document: object, where: str = 'sums') -> AllanSums:
         If the document has another version or a wrong checksum, or if a field is missing, has a
         wrong type or shape, is not finite, or exceeds its bounds.
     """
-    top = Fields(document, where)
-    top.schema(SUMS_SCHEMA)
-    if isinstance(document, dict) and top.text('checksum') != checksum_of(document):
+    fields = Fields(document, where)
+    fields.schema(SUMS_SCHEMA)
+    if isinstance(document, dict) and fields.text('checksum') != checksum_of(document):
         raise AllanError(
             f'{where} is damaged (its checksum is wrong): accumulate the data again, or use a copy'
         )
-    axes = tuple(top.sequence('axes', len(AXES)))
+    axes = tuple(fields.sequence('axes', len(AXES)))
     if not axes or axes != tuple(a for a in AXES if a in axes):
         raise AllanError(
             f'{where}.axes is {axes!r:.80}: give some of {", ".join(AXES)}, in this order'
         )
-    n, width = len(top.sequence('count', MAX_FACTORS)), len(axes)
-    replaced = _whole_table(top, 'replaced', MAX_STRETCHES, 2 + width)
+    n, axis_count = len(fields.sequence('count', MAX_FACTORS)), len(axes)
+    replaced = _whole_table(fields, 'replaced', MAX_STRETCHES, 2 + axis_count)
     sums = AllanSums(
-        ImuIdentity(*(top.text(key, longest=MAX_NAME) for key in ('frame_id', 'hardware_id'))),
+        ImuIdentity(*(fields.text(key, longest=MAX_NAME) for key in ('frame_id', 'hardware_id'))),
         axes,
-        top.integers('count', n),
-        top.table('sum_sq', n, width, least=0.0),
-        top.integers('group_count', n),
-        top.table('group_sum_sq', n, width, least=0.0),
-        top.integer('elapsed_ns', least=0),
-        top.integer('intervals', least=0),
-        tuple(_recording(f, n, width) for f in top.each('recordings', MAX_PERIODS)),
-        tuple((a, b) for a, b in _whole_table(top, 'lengths', MAX_CLASSES, 2).tolist()),
+        fields.integers('count', n),
+        fields.table('sum_sq', n, axis_count, least=0.0),
+        fields.integers('group_count', n),
+        fields.table('group_sum_sq', n, axis_count, least=0.0),
+        fields.integer('elapsed_ns', least=0),
+        fields.integer('intervals', least=0),
+        tuple(_recording(f, n, axis_count) for f in fields.each('recordings', MAX_PERIODS)),
+        tuple((a, b) for a, b in _whole_table(fields, 'lengths', MAX_CLASSES, 2).tolist()),
         replaced,
     )
-    if not np.array_equal(top.integers('m', n), sums.m):
+    if not np.array_equal(fields.integers('m', n), sums.m):
         raise AllanError(
             f'{where}.m has other averaging factors than this version: accumulate the data again'
         )
@@ -210,11 +210,11 @@ def _whole_table(fields: Fields, key: str, most: int, columns: int) -> Ints:
 
 def _recording(fields: Fields, factors: int, axes: int) -> RecordedPeriods:
     age, octaves = fields.integer('age', least=0), fields.integer('octaves', least=0)
-    n, most = fields.integer('periods', least=1), MAX_INTEGER // MAX_PERIODS
+    n, largest_count = fields.integer('periods', least=1), MAX_INTEGER // MAX_PERIODS
     if n > MAX_PERIODS or octaves > MAX_OCTAVES:
         raise AllanError(f'{fields.where} has too many periods or octaves')
     reference = _array(fields, 'reference', (axes,), -LARGEST, LARGEST)
-    samples = _array(fields, 'samples', (n,), 1, most)
+    samples = _array(fields, 'samples', (n,), 1, largest_count)
     if age + int(samples.sum()) >= MAX_INTEGER:
         raise AllanError(f'{fields.where}.samples contains too many samples')
     limit = 2.0 * LARGEST * samples[:, None]
@@ -222,10 +222,10 @@ def _recording(fields: Fields, factors: int, axes: int) -> RecordedPeriods:
         (age + np.cumsum(samples) - samples).tolist(),
         samples.tolist(),
         _array(fields, 'begin_ns', (n,), -MAX_INTEGER, MAX_INTEGER).tolist(),
-        _array(fields, 'count', (n, factors), 0, most),
+        _array(fields, 'count', (n, factors), 0, largest_count),
         _array(fields, 'sum_sq', (n, factors, axes), 0.0, MAX_SUM),
-        _array(fields, 'blocks', (n, octaves), 0, most),
-        _array(fields, 'pairs', (n, octaves), 0, most),
+        _array(fields, 'blocks', (n, octaves), 0, largest_count),
+        _array(fields, 'pairs', (n, octaves), 0, largest_count),
         _array(fields, 'power', (n, bins_up_to(octaves), axes), 0.0, MAX_SUM),
         _array(fields, 'total', (n, axes), -limit, limit),
         _array(fields, 'interpolated', (n,), 0, samples).tolist(),

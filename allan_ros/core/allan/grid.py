@@ -29,7 +29,7 @@ FIRST_FACTORS = (1, 2, 3, 4, 6)
 """Averaging factors that only level 0 of the cascade has, in samples."""
 
 LEVEL_FACTORS = (8, 10, 12, 14)
-"""Averaging factors of every level j of the cascade, in units of the stride 2^j."""
+"""Averaging factors of each level j of the cascade, in units of its stride, 2^j samples."""
 
 MAX_LEVELS = 42
 """Largest accepted number of levels: 2^41 x 14 samples are 970 years at 1 kHz. With more levels,
@@ -112,9 +112,9 @@ class Octave(NamedTuple):
 @lru_cache
 def octave(o: int) -> Octave:
     """Return blocks and bins of octave o."""
-    means = max(o - SAMPLE_OCTAVES + 1, 0)
+    log2_step = max(o - SAMPLE_OCTAVES + 1, 0)
     bins = range(LOW_BIN, 4 * LOW_BIN if o == 0 else 2 * LOW_BIN)
-    return Octave(1 << means, SHORTEST_BLOCK << (o - means), bins)
+    return Octave(1 << log2_step, SHORTEST_BLOCK << (o - log2_step), bins)
 
 
 def bins_up_to(octaves: int) -> int:

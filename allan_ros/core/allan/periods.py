@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Sums of a recording over periods of time, and block means of the recording.
+"""Allan sums and spectra of a recording over periods of time, and block means of the recording.
 
 Periods
 -------
@@ -64,19 +64,19 @@ class ByValue:
 
 
 def add_padded(a: NDArray, b: NDArray) -> NDArray:  # type: ignore[type-arg]
-    """Return a + b; the shorter of the two is padded with zero rows.
+    """Return a + b; the array with fewer rows is padded with zero rows.
 
-    Both arrays have the same shape except for the number of rows.
+    The shapes of the arrays, (rows, ...), may differ only in the number of rows.
     """
     if len(a) < len(b):
         a, b = b, a
-    out = a.copy()
-    out[: len(b)] += b
-    return out
+    total = a.copy()
+    total[: len(b)] += b
+    return total
 
 
 def nonzero_length(counts: Ints) -> int:
-    """Return the number of elements up to the last one that is not zero."""
+    """Return the number of elements of an array, (n,), up to the last element that is not zero."""
     return int(np.max(np.flatnonzero(counts), initial=-1)) + 1
 
 
@@ -194,8 +194,10 @@ def pair_to_merge(begins: Sequence[int], length: int) -> tuple[float, int]:
     the recording. The result is infinite for fewer than two periods.
     """
     ends = [*begins[1:], length]
-    relative = [(end - begin) / min(end, length - begin) for begin, end in zip(begins, ends[1:])]
-    return min(((r, i) for i, r in enumerate(relative)), default=(float('inf'), 0))
+    relative_lengths = [
+        (end - begin) / min(end, length - begin) for begin, end in zip(begins, ends[1:])
+    ]
+    return min(((r, i) for i, r in enumerate(relative_lengths)), default=(float('inf'), 0))
 
 
 def bounded(recordings: Iterable[RecordedPeriods]) -> tuple[RecordedPeriods, ...]:
@@ -207,9 +209,9 @@ def bounded(recordings: Iterable[RecordedPeriods]) -> tuple[RecordedPeriods, ...
     kept_recordings = sorted(recordings, key=lambda r: (r.periods[0].begin_ns, r.samples))
     while sum(len(r.periods) for r in kept_recordings) > MAX_PERIODS:
         pairs = [pair_to_merge([p.begin for p in r.periods], r.samples) for r in kept_recordings]
-        _, recording_at, i = min((relative, k, i) for k, (relative, i) in enumerate(pairs))
-        if len(kept_recordings[recording_at].periods) > 1:
-            kept_recordings[recording_at] = kept_recordings[recording_at].merged(i)
+        _, k, i = min((relative, k, i) for k, (relative, i) in enumerate(pairs))
+        if len(kept_recordings[k].periods) > 1:
+            kept_recordings[k] = kept_recordings[k].merged(i)
         else:
             kept_recordings[:2] = [kept_recordings[0].joined(kept_recordings[1])]
     means = iter(bounded_means([r.means for r in kept_recordings]))
@@ -219,10 +221,10 @@ def bounded(recordings: Iterable[RecordedPeriods]) -> tuple[RecordedPeriods, ...
 def bounded_means(
     means_of_recordings: Sequence[Sequence[BlockMeans]],
 ) -> list[tuple[BlockMeans, ...]]:
-    """Return the block means of the longest segments at a common step, for each recording.
+    """Return the block means of the longest segments of each recording, at a common step.
 
-    The input has the block means of each recording, too. The result contains at most `MAX_MEANS`
-    means for all recordings together.
+    ``means_of_recordings`` are the block means of each recording. The result contains at most
+    `MAX_MEANS` means for all recordings together.
     """
     segments = [(m, i) for i, means in enumerate(means_of_recordings) for m in means]
     segments = sorted(segments, key=lambda s: (-s[0].samples, s[0].start_ns))[:KEPT_SEGMENTS]
@@ -240,8 +242,8 @@ def bounded_means(
 
 
 def totals(arrays: Iterable[NDArray]) -> NDArray:  # type: ignore[type-arg]
-    """Return the sum of arrays; shorter arrays are padded with zero rows.
+    """Return the sum of arrays; arrays with fewer rows are padded with zero rows.
 
-    All arrays have the same shape except for the number of rows.
+    The shapes of the arrays, (rows, ...), may differ only in the number of rows.
     """
     return reduce(add_padded, arrays)

@@ -19,7 +19,7 @@ from .sums import AllanSums
 Floats = NDArray[np.float64]
 
 LONGEST_TAU_SHARE = 0.25
-"""Longest averaging time at which noise levels are compared, as a fraction of the recent window."""
+"""Longest averaging time at which noise levels are compared, relative to the recent window."""
 
 MIN_STEP_EDF = 30.0
 """Smallest number of degrees of freedom of the variances before and after a step. The standard
@@ -67,11 +67,12 @@ class NoiseStep:
         return low > 1.0 + margin or high < 1.0 / (1.0 + margin)
 
     def coefficient_before(self, term: str) -> float | None:
-        """Return the coefficient ``term``, N or Q, before the first step in SI.
+        """Return the coefficient ``term`` (N or Q, in SI) before the first step.
 
-        It is computed as if only the noise of this term was present at ``tau``: N = sigma sqrt(tau)
-        and Q = sigma tau / sqrt(3) (IEEE Std 952-1997, C.1.1 and C.1.2). The result is None for
-        other terms: the window is too short for K and R, and B has no specific averaging time.
+        The coefficient is computed as if only the noise of this term was present at ``tau``: N =
+        sigma sqrt(tau) and Q = sigma tau / sqrt(3) (IEEE Std 952-1997, C.1.1 and C.1.2). The result
+        is None for other terms: the window is too short for K and R, and B has no specific
+        averaging time.
 
         Examples
         --------
@@ -107,58 +108,58 @@ def noise_steps(sums: AllanSums, window_s: float) -> dict[str, NoiseStep]:
     )
     sum_sq = np.array([add_padded(no_sums, p.sum_sq)[:factors] for p in sums.periods])
     # the first row contains all data before the window
-    start = latest.samples - window_s / sums.tau0
+    window_start = latest.samples - window_s / sums.tau0
     begins = [p.begin if r is latest else -1 for r in sums.recordings for p in r.periods]
-    earlier = max(int(np.searchsorted(begins, max(start, 0))), 1)
-    count = np.concatenate([count[:earlier].sum(axis=0)[None], count[earlier:]])
-    sum_sq = np.concatenate([sum_sq[:earlier].sum(axis=0)[None], sum_sq[earlier:]])
-    begins = begins[earlier - 1 :]
+    n_before = max(int(np.searchsorted(begins, max(window_start, 0))), 1)
+    count = np.concatenate([count[:n_before].sum(axis=0)[None], count[n_before:]])
+    sum_sq = np.concatenate([sum_sq[:n_before].sum(axis=0)[None], sum_sq[n_before:]])
+    begins = begins[n_before - 1 :]
     if len(begins) < 2 or not factors:
         return {}
     m = sums.m[:factors]
-    total = np.maximum(count.sum(axis=0), 1)
-    avar = allan_variance(sum_sq.sum(axis=0), m, total)
+    total_count = np.maximum(count.sum(axis=0), 1)
+    avar = allan_variance(sum_sq.sum(axis=0), m, total_count)
     noise_types = noise_types_of_avar(m, np.where(avar > 0.0, avar, np.nan), sums.samples)
     steps = {}
     for i, axis in enumerate(sums.axes):
-        share = np.array(  # degrees of freedom per second difference
+        edf_per_difference = np.array(
             [
                 edf(int(alpha), int(factor), max(1, int(factor) // LEVEL_FACTORS[0]), int(n)) / n
-                for alpha, factor, n in zip(noise_types[:, i], m, total)
+                for alpha, factor, n in zip(noise_types[:, i], m, total_count)
             ]
         )
-        first_and_last_step = _steps(count * share, sum_sq[:, :, i])
+        first_and_last_step = _steps(count * edf_per_difference, sum_sq[:, :, i])
         if first_and_last_step is None:
             continue
         first, last, k = first_and_last_step
         sides = slice(first), slice(last, None)
-        differences = [float(count[side, k].sum()) for side in sides]
+        difference_counts = [float(count[side, k].sum()) for side in sides]
         before, after = (
             sum_sq[side, k, i].sum() / (2.0 * float(m[k]) ** 2 * n)
-            for side, n in zip(sides, differences)
+            for side, n in zip(sides, difference_counts)
         )
-        nu, ratio = share[k] * np.array(differences), after / before
+        nu, ratio = edf_per_difference[k] * np.array(difference_counts), after / before
         low, high = (math.sqrt(ratio / fdtri(nu[1], nu[0], q)) for q in (0.975, 0.025))
-        since = (latest.samples - begins[last]) * sums.tau0
-        numbers = float(m[k] * sums.tau0), math.sqrt(before), math.sqrt(ratio)
-        steps[axis] = NoiseStep(*numbers, (low, high), since)
+        since_s = (latest.samples - begins[last]) * sums.tau0
+        tau_before_ratio = float(m[k] * sums.tau0), math.sqrt(before), math.sqrt(ratio)
+        steps[axis] = NoiseStep(*tau_before_ratio, (low, high), since_s)
     return steps
 
 
 def _steps(degrees: Floats, squares: Floats) -> tuple[int, int, int] | None:
-    """Return the rows after the first and after the last step, and the index of a factor.
+    """Return the rows that follow the first and the last step, and the index of their factor.
 
-    ``degrees`` are the degrees of freedom, and ``squares`` the sums of squares, of each period and
-    averaging factor, (rows, factors). The first step is the most significant step at any factor.
-    The returned index is the index of this factor. Later steps are searched for only at this
-    factor. Returns None if no step is significant.
+    ``degrees`` are the degrees of freedom, and ``squares`` are the sums of squares, of each period
+    and averaging factor, (rows, factors). The first step is the most significant step at any
+    factor. Later steps are searched for only at the factor of the first step. Returns None if no
+    step is significant.
     """
     degrees, squares = np.cumsum(degrees, axis=0), np.cumsum(squares, axis=0)
     ratio = _step_ratios(degrees, squares)
-    at, factor = np.unravel_index(int(ratio.argmax()), ratio.shape)
-    if not ratio[at, factor] > LIKELIHOOD_RATIO:
+    row, factor = np.unravel_index(int(ratio.argmax()), ratio.shape)
+    if not ratio[row, factor] > LIKELIHOOD_RATIO:
         return None
-    first = last = int(at)
+    first = last = int(row)
     while True:
         later_sums = [a[last + 1 :, factor] - a[last, factor] for a in (degrees, squares)]
         ratio = _step_ratios(*later_sums) if len(later_sums[0]) else np.zeros(1)
@@ -170,8 +171,8 @@ def _steps(degrees: Floats, squares: Floats) -> tuple[int, int, int] | None:
 def _step_ratios(degrees: Floats, squares: Floats) -> Floats:
     """Return twice the log likelihood ratio of a step after each row, (rows, ...).
 
-    ``degrees`` and ``squares`` are cumulative sums, (rows, ...). The result is -inf where the data
-    before or after the step are too few.
+    ``degrees`` and ``squares`` are cumulative sums, (rows, ...). The result is -inf where there are
+    too few data before or after the step.
     """
     nu = degrees, degrees[-1] - degrees, degrees[-1]
     sums = squares, squares[-1] - squares, squares[-1]

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Stretches of samples that were replaced by a line, counted by length.
+"""Table of the stretches of samples that were replaced by a straight line.
 
 The line joins the mean of ``level`` samples before the stretch and the mean of ``level`` samples
 after it. The level is 1 for a gap or a spike. For a shock, the level is the number of samples in
@@ -47,12 +47,12 @@ def scaled_stretches(table: Ints, share: float) -> Ints:
     All numbers of stretches are multiplied by the share and rounded. A row in which all numbers
     become 0 is omitted. Both tables are (rows, 2 + axes).
     """
-    number = np.rint(table[:, 2:] * share).astype(np.int64)
-    return np.asarray(np.column_stack([table[:, :2], number])[number.any(axis=1)])
+    scaled_numbers = np.rint(table[:, 2:] * share).astype(np.int64)
+    return np.asarray(np.column_stack([table[:, :2], scaled_numbers])[scaled_numbers.any(axis=1)])
 
 
 class RunningStretches:
-    """Counts the replaced stretches of a stream; the chunks may have any size."""
+    """Counts the replaced stretches of a stream of samples that arrive in chunks of any size."""
 
     def __init__(self, axes: int) -> None:
         self.table = no_stretches(axes)
@@ -93,5 +93,5 @@ class RunningStretches:
 
 def _counted(length: int) -> int:
     """Return a length, rounded to `COUNTED_BITS` significant bits."""
-    unit = 1 << max(length.bit_length() - COUNTED_BITS, 0)
-    return (length + unit // 2) // unit * unit
+    rounding_unit = 1 << max(length.bit_length() - COUNTED_BITS, 0)
+    return (length + rounding_unit // 2) // rounding_unit * rounding_unit

@@ -121,11 +121,11 @@ class _State:
         if block.sums.level == 0:
             length, total = block.samples.shape[1], block.samples.sum(axis=1)
             total[:-1] += length * (segment.cascade.reference - self.reference)
-            new = _RunningPeriod(age, (segment.start_ns, block.begin), length, total)
+            new_period = _RunningPeriod(age, (segment.start_ns, block.begin), length, total)
             if periods and periods[-1].samples < FIRST_BLOCK:
-                periods[-1] = periods[-1].extended(new)
+                periods[-1] = periods[-1].extended(new_period)
             else:
-                periods.append(new)
+                periods.append(new_period)
             if len(periods) > MAX_PERIODS:
                 _, i = pair_to_merge([p.begin for p in periods], age + length)
                 periods[i : i + 2] = [periods[i].extended(periods[i + 1])]
@@ -278,5 +278,5 @@ def _period(
     start_ns, samples_before = period.start
     total, interpolated = period.total[:-1], round(float(period.total[-1]))
     begin_ns = start_ns + samples_before * elapsed_ns // max(intervals, 1)
-    number = (period.begin, period.samples, begin_ns)
-    return Period(*number, count, sum_sq, blocks, pairs, power, total, interpolated).stored()
+    extent = (period.begin, period.samples, begin_ns)
+    return Period(*extent, count, sum_sq, blocks, pairs, power, total, interpolated).stored()

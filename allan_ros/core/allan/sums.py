@@ -41,7 +41,7 @@ LENGTH_CLASS_RATIO = 1.1
 segments in each class, not the length of each segment."""
 
 TAU0_TOLERANCE = 1e-3
-"""Largest relative difference of the sample periods of two Allan sums that can be added."""
+"""Largest relative difference between the sample periods of two `AllanSums` that can be added."""
 
 Lengths = tuple[tuple[int, int], ...]
 """Total number of samples, and number of segments, of each length class, shortest segments
@@ -286,9 +286,9 @@ def part(sums: AllanSums, first: int) -> AllanSums:
         count = add_padded(count, period.count)
         sum_sq = add_padded(sum_sq, period.sum_sq)
     for i, (m, stride) in enumerate(zip(sums.m.tolist(), sums.stride.tolist())):
-        number, squares = _from_means(kept_recordings, m, stride)
-        if number > count[i]:
-            count[i], sum_sq[i] = number, squares
+        difference_count, squares = _from_means(kept_recordings, m, stride)
+        if difference_count > count[i]:
+            count[i], sum_sq[i] = difference_count, squares
     used_factors = nonzero_length(count)
     lengths = _lengths(sums.lengths, samples)
     intervals = samples - sum(number for _, number in lengths)
@@ -307,7 +307,7 @@ def part(sums: AllanSums, first: int) -> AllanSums:
 
 
 def _excerpt(recording: RecordedPeriods, tau0: float | None, first: int) -> RecordedPeriods:
-    """Return a recording without its periods before ``first`` and without their block means."""
+    """Return a recording without the periods before index ``first`` and their block means."""
     periods = recording.periods[first:]
     means: tuple[BlockMeans, ...] = ()
     if periods:
@@ -332,10 +332,10 @@ def _clipped(means: BlockMeans, tau0: float, begin: int) -> BlockMeans:
 def _from_means(
     recordings: list[RecordedPeriods], m: int, stride: int
 ) -> tuple[int, Floats | float]:
-    """Return number and sum of squares, (axes,), of second differences of the phase.
+    """Return the number, and the sum of squares, (axes,), of second differences of block means.
 
-    The phase is computed from the block means, and ``m`` is the averaging factor. The sum is 0.0 if
-    there are no differences.
+    ``m`` is the averaging factor, and ``stride`` is the number of samples from the start of one
+    difference to the next. The sum is 0.0 if there are no differences.
     """
     number, squares = 0, 0.0
     for means in (means for r in recordings for means in r.means):

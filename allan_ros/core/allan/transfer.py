@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Whether several sensors measure a common signal equally, from their cross spectra.
+"""Tests by cross spectra whether several sensors measure a common signal equally.
 
 Method
 ------
@@ -27,19 +27,19 @@ Floats = NDArray[np.float64]
 Spectra = NDArray[np.complex128]
 
 BLOCK = 256
-"""Samples of a block of the spectra; neighboring blocks overlap by half."""
+"""Number of samples in a block of the spectra; neighboring blocks overlap by half."""
 
 LEAST_BLOCKS = 40
 """Fewest independent blocks for which the transfer is tested."""
 
 HIGHEST = 1.0 / 16.0
-"""Highest frequency of the test in cycles per sample. At higher frequencies, the differences
-between the stamps of two IMUs, up to half a sample, have an effect. The fit of N contains a term
-like Q for this effect."""
+"""Highest frequency of the test in cycles per sample. At higher frequencies, differences of up to
+half a sample between the stamps of two IMUs have an effect. The fit of N contains a term like Q for
+this effect."""
 
 LARGEST_LEAK = 0.1
 """Largest share of the common signal in the power of a difference of two sensors for which the
-sensors are treated as equal. This share increases the own N by 5 %."""
+sensors are treated as equal. With this share, the measured own N of a sensor is 5 % too large."""
 
 LEAST_CONTRAST = 0.5
 """Least standard deviation of the common power over the frequencies, relative to the mean of the
@@ -52,7 +52,7 @@ class Transfer(NamedTuple):
     Attributes
     ----------
     gains : (sensors,) array
-        Factor of each sensor; their geometric mean is 1.
+        Factor with which each sensor measures the signal; the geometric mean of the factors is 1.
     leak : float
         Share of the common signal in the power of the difference of two sensors, for the pair with
         the largest share, after the factors are corrected.
@@ -70,7 +70,8 @@ class Transfer(NamedTuple):
 def transfer(parts: Sequence[Floats]) -> Transfer:
     """Return the factors with which sensors measure a common signal, and the remaining leak.
 
-    ``parts`` are samples without gaps, each (sensors, n). The factors are 1 if the share of the
+    The leak is the share of the common signal in differences of sensors (`Transfer`). ``parts`` are
+    samples without gaps in any unit, each (sensors, n). The factors are 1 if the share of the
     common signal in the differences is below `LARGEST_LEAK` without factors, if the factors do not
     reduce this share, or if there are too few samples.
     """
@@ -84,55 +85,56 @@ def transfer(parts: Sequence[Floats]) -> Transfer:
     if leak < LARGEST_LEAK:
         return Transfer(unit_gains, leak)
     gains = _gains(spectra)
-    corrected = _leak(spectra / np.outer(gains, gains), blocks)
-    return Transfer(gains, corrected) if corrected < leak else Transfer(unit_gains, leak)
+    corrected_leak = _leak(spectra / np.outer(gains, gains), blocks)
+    return Transfer(gains, corrected_leak) if corrected_leak < leak else Transfer(unit_gains, leak)
 
 
 def cross_spectra(parts: Sequence[Floats]) -> tuple[Spectra, float]:
     """Return the cross spectra, (frequencies, sensors, sensors), and the number of blocks.
 
     The number of blocks is the number of independent blocks that would give the same errors as the
-    overlapping blocks. ``parts`` are samples without gaps, each (sensors, n). The frequencies are
-    from two periods per block to `HIGHEST`.
+    overlapping blocks. ``parts`` are samples without gaps, each (sensors, n). The frequencies
+    are from two periods per block to `HIGHEST`.
     """
     window = np.hanning(BLOCK + 1)[:BLOCK]
-    total, number = np.zeros((BLOCK // 2 + 1, *2 * (len(parts[0]),)), complex), 0
+    summed_spectra, block_count = np.zeros((BLOCK // 2 + 1, *2 * (len(parts[0]),)), complex), 0
     for samples in parts:
         starts = np.arange(0, samples.shape[1] - BLOCK + 1, BLOCK // 2)
         for block_starts in np.array_split(starts, max(len(starts) // 512, 1)):
             blocks = samples[:, block_starts[:, None] + np.arange(BLOCK)]
             blocks = blocks - blocks.mean(axis=2, keepdims=True)
             transforms = np.fft.rfft(blocks * window, axis=2)
-            total += np.einsum('akf,bkf->fab', transforms, transforms.conj())
-            number += len(block_starts)
+            summed_spectra += np.einsum('akf,bkf->fab', transforms, transforms.conj())
+            block_count += len(block_starts)
     # from bin 2 on, because the window spreads the power of bin 0 into bin 1
     used_bins = slice(2, round(HIGHEST * BLOCK) + 1)
-    return np.asarray(total[used_bins] / max(number, 1), np.complex128), 0.95 * number
+    mean_spectra = summed_spectra[used_bins] / max(block_count, 1)
+    return np.asarray(mean_spectra, np.complex128), 0.95 * block_count
 
 
 def _leak(spectra: Spectra, blocks: float) -> float:
-    """Return the share of the common signal in the power of the difference of two sensors.
+    """Return the largest share of the common signal in the power of a difference of two sensors.
 
-    The share is for the pair of sensors with the largest share. ``blocks`` is the number of
+    All pairs of sensors are compared. ``blocks`` is the number of
     independent blocks of the ``spectra``.
     """
-    number = spectra.shape[1]
+    sensor_count = spectra.shape[1]
     shares = [0.0]
-    for i, j in combinations(range(number), 2):
-        weights_of_d = np.zeros(number)
+    for i, j in combinations(range(sensor_count), 2):
+        weights_of_d = np.zeros(sensor_count)
         weights_of_d[i], weights_of_d[j] = 1.0, -1.0
-        third_sensors = [np.eye(number)[k] for k in range(number) if k not in (i, j)]
+        third_sensors = [np.eye(sensor_count)[k] for k in range(sensor_count) if k not in (i, j)]
         weights_of_z = np.sum(third_sensors, axis=0) if third_sensors else np.abs(weights_of_d)
         power, power_of_z = (
             np.einsum('a,fab,b->f', x, spectra, x).real for x in (weights_of_d, weights_of_z)
         )
-        cross = np.einsum('a,fab,b->f', weights_of_d, spectra, weights_of_z)
+        cross_spectrum = np.einsum('a,fab,b->f', weights_of_d, spectra, weights_of_z)
         if not power.all() or not power_of_z.all():  # a sensor without noise
             continue
         # without third sensors, z is the sum of both sensors, and ``cross`` contains own noise
         if not third_sensors:
-            cross = cross - _intercept(power_of_z, cross.real)
-        common_power = np.abs(cross) ** 2 / power_of_z - power / blocks
+            cross_spectrum = cross_spectrum - _intercept(power_of_z, cross_spectrum.real)
+        common_power = np.abs(cross_spectrum) ** 2 / power_of_z - power / blocks
         shares.append(float(common_power.sum() / power.sum()))
     return max(shares)
 
@@ -154,17 +156,17 @@ def _gains(spectra: Spectra) -> Floats:
     sensors have the spectra g_i^2 S + N_i and the cross spectrum g_i g_j S. The slope of a spectrum
     over the cross spectrum is g_i/g_j, if S varies with the frequency.
     """
-    number = spectra.shape[1]
-    gains = np.ones(number)
-    if number == 2:
+    sensor_count = spectra.shape[1]
+    gains = np.ones(sensor_count)
+    if sensor_count == 2:
         cross_spectrum = np.maximum(spectra[:, 0, 1].real, 0.0)
         auto_spectra = [spectra[:, i, i].real for i in range(2)]
         if cross_spectrum.std() < LEAST_CONTRAST * cross_spectrum.mean():
             return gains
         weight = 1.0 / (auto_spectra[0] * auto_spectra[1])
-        mean = np.average(cross_spectrum, weights=weight)
+        weighted_mean = np.average(cross_spectrum, weights=weight)
         slopes = [
-            np.average((cross_spectrum - mean) * auto_spectrum, weights=weight)
+            np.average((cross_spectrum - weighted_mean) * auto_spectrum, weights=weight)
             for auto_spectrum in auto_spectra
         ]
         if min(slopes) > 0.0:
@@ -173,9 +175,9 @@ def _gains(spectra: Spectra) -> Floats:
         products = spectra.real.sum(axis=0)
         scale = np.sqrt(np.diag(products))
         products = products / np.outer(scale, scale)
-        factor = np.sqrt(np.maximum(products.mean(axis=1), 1e-3))
+        factors = np.sqrt(np.maximum(products.mean(axis=1), 1e-3))
         for _ in range(100):
-            np.fill_diagonal(products, factor**2)
-            factor = products @ factor / (factor @ factor)
-        gains = np.abs(factor * scale)
+            np.fill_diagonal(products, factors**2)
+            factors = products @ factors / (factors @ factors)
+        gains = np.abs(factors * scale)
     return np.asarray(gains / np.exp(np.log(gains).mean()))
