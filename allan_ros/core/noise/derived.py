@@ -27,12 +27,12 @@ from .process import Floats, Process
 from .processes.gauss_markov import GaussMarkov
 
 MOST_CACHED = 1 << 22
-"""Largest number of lags of gamma that are kept in memory for the next axis of a simulation (34 MB
-for each process)."""
+"""Largest number of lags for which the autocovariance gamma is kept in memory for the next axis of
+a simulation (34 MB for each process)."""
 
 LONGEST_CIRCLE = 16
-"""Largest size of a circulant covariance matrix, relative to the smallest possible size. Negative
-eigenvalues of a matrix of the largest size are set to 0."""
+"""Largest size of the circulant covariance matrix of a simulation, relative to its smallest
+possible size. If a matrix of the largest size has negative eigenvalues, they are set to 0."""
 
 
 def avar(process: Process, m: ArrayLike) -> Floats:
@@ -127,10 +127,10 @@ def simulate(parts: Iterable[tuple[float, Process]], n: int, rng: np.random.Gene
             y += coefficient * samples
     relative_size = 1
     while from_gamma:
-        half = fft.next_fast_len(max(relative_size * (n - 1), 2), real=True)
-        gamma = np.zeros(half + 1)
+        half_size = fft.next_fast_len(max(relative_size * (n - 1), 2), real=True)
+        gamma = np.zeros(half_size + 1)
         for variance, process in from_gamma:
-            gamma += variance * _lags(process, half + 1)
+            gamma += variance * _lags(process, half_size + 1)
         # the Fourier transform of an even sequence is the cosine transform of half of it
         eigenvalues = fft.dct(gamma, type=1, overwrite_x=True)
         eigenvalues[0] = 0.0
@@ -142,7 +142,7 @@ def simulate(parts: Iterable[tuple[float, Process]], n: int, rng: np.random.Gene
 
 
 def _lags(process: Process, number: int) -> Floats:
-    """Return gamma of samples at the lags 0 to number - 1."""
+    """Return the autocovariance gamma of samples at the lags 0 to number - 1, (number,)."""
     if number <= MOST_CACHED:
         return _kept_lags(process, number)
     return process.gamma(1, np.arange(number))
@@ -194,6 +194,6 @@ def bank(
     """
     members = [GaussMarkov(float(time)) for time in times]
     target = avar(process, m)
-    columns = np.stack([avar(one, m) / target for one in members], axis=1)
+    columns = np.stack([avar(member, m) / target for member in members], axis=1)
     variances = nonnegative_least_squares(columns, np.ones(len(target)))
-    return tuple((float(v), one) for v, one in zip(variances, members) if v > 0.0)
+    return tuple((float(v), member) for v, member in zip(variances, members) if v > 0.0)

@@ -136,12 +136,12 @@ class Model:
         return replace(self, parts=(*new_parts, *other_parts))
 
     def __getitem__(self, name: str) -> tuple[Part, ...]:
-        """Return all parts whose process has the name ``name``, such as 'sinusoid'."""
+        """Return all parts whose process has this name, such as 'sinusoid'."""
         return tuple(part for part in self.parts if part.process.name == name)
 
     @property
     def shaped(self) -> Model:
-        """The model of all processes with a shape: without the five terms and the filter."""
+        """Model of the processes with a shape, without the five terms and the low-pass filter."""
         return self.where(lambda process: bool(process.parameters))
 
     def at_end(self, end: int, scatter: float = 0.0) -> Model:
@@ -229,12 +229,12 @@ class Model:
         """
         tau = np.asarray(tau, float)
         step = tau0 or CONTINUOUS * float(tau.min(initial=1.0))
-        found: dict[str, Floats] = {}
+        variances: dict[str, Floats] = {}
         for part in self.parts:
             variance, in_samples = (
                 part.process.variance_of(part.value, step),
                 part.process.in_unit(step),
             )
             title = part.process.title
-            found[title] = found.get(title, 0.0) + variance * avar(in_samples, tau / step)
-        return found
+            variances[title] = variances.get(title, 0.0) + variance * avar(in_samples, tau / step)
+        return variances

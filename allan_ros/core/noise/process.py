@@ -219,8 +219,8 @@ class Process:
         whose shape has two numbers must be better by `GAIN_RESOLVED` than the simpler process with
         one number that it contains as a limit.
         """
-        search = 2.0 * math.log(bins) * (FREQUENCY in cls.parameters)
-        return GAIN_PROCESS + search + GAIN_RESOLVED * max(len(cls.parameters) - 1, 0)
+        search_gain = 2.0 * math.log(bins) * (FREQUENCY in cls.parameters)
+        return GAIN_PROCESS + search_gain + GAIN_RESOLVED * max(len(cls.parameters) - 1, 0)
 
     def bounds(self, parameter: Parameter, search: Search) -> tuple[float, float]:
         """Return the lowest and the highest value of a number of the shape in a search.

@@ -17,20 +17,22 @@ LETTERS = 'QNBKR'
 
 def _classes() -> Iterator[type[Process]]:
     for module in iter_modules(processes.__path__):
-        found = import_module(f'{processes.__name__}.{module.name}')
-        for one in vars(found).values():
-            if isinstance(one, type) and one.__module__ == found.__name__:
-                yield one
+        loaded = import_module(f'{processes.__name__}.{module.name}')
+        for value in vars(loaded).values():
+            if isinstance(value, type) and value.__module__ == loaded.__name__:
+                yield value
 
 
-def _place(one: type[Process]) -> tuple[int, int, str]:
-    """Return the sort key of a class of processes: the five terms come first."""
-    letter = LETTERS.find(one.letter) if one.letter else len(LETTERS)
-    return len(one.parameters) and len(LETTERS), letter, one.name
+def _sort_key(kind: type[Process]) -> tuple[int, int, str]:
+    """Return the key by which the classes of processes are sorted: the five terms come first."""
+    letter = LETTERS.find(kind.letter) if kind.letter else len(LETTERS)
+    return len(kind.parameters) and len(LETTERS), letter, kind.name
 
 
-PROCESSES: Mapping[str, type[Process]] = {one.name: one for one in sorted(_classes(), key=_place)}
-"""Name in documents -> class, the five terms first."""
+PROCESSES: Mapping[str, type[Process]] = {
+    one.name: one for one in sorted(_classes(), key=_sort_key)
+}
+"""Name of each process in documents -> its class. The five terms Q, N, B, K and R come first."""
 
 RANDOM_TERMS: tuple[Process, ...] = tuple(
     one()
@@ -44,7 +46,7 @@ SEARCHED: tuple[type[Process], ...] = tuple(
     for one in PROCESSES.values()
     if one.parameters and one.replaces is None and not one.is_regressor
 )
-"""The classes of processes that a fit may add to the random terms."""
+"""Classes of the processes that a fit may add to the random terms."""
 
 REPLACEMENTS: Mapping[type[Process], type[Process]] = {
     one.replaces: one for one in PROCESSES.values() if one.replaces is not None

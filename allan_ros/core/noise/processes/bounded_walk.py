@@ -17,10 +17,10 @@ from .random_walk import RandomWalk
 
 @dataclass(frozen=True)
 class BoundedWalk(Process):
-    """Gauss-Markov process that grows like a random walk with unit steps up to a correlation time.
+    """Gauss-Markov process that grows like a random walk up to its correlation time.
 
-    At an infinite correlation time T, the process is a random walk. A fit replaces the random walk
-    by this process if the data show that 1/T is above 0.
+    The steps have the variance 1. At an infinite correlation time T, the process is a random walk.
+    A fit replaces the random walk by this process if the data show that 1/T is above 0.
     """
 
     name = 'bounded_walk'

@@ -72,5 +72,5 @@ class GaussMarkov(Process):
 
     @classmethod
     def grid(cls, search: Search) -> Iterator[Process]:
-        most = math.log2(max(search.longest / search.shortest, 1.0))
-        return (cls(float(search.shortest * 2.0**k)) for k in np.arange(0.0, most + 0.01, 0.5))
+        octaves = math.log2(max(search.longest / search.shortest, 1.0))
+        return (cls(float(search.shortest * 2.0**k)) for k in np.arange(0.0, octaves + 0.01, 0.5))

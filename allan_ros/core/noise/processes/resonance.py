@@ -16,8 +16,9 @@ from ..process import CORRELATION_TIME, FREQUENCY, Floats, Parameter, Process, S
 from .sinusoid import Sinusoid
 
 BANDWIDTHS = (1.0, 3.0)
-"""Correlation times of the candidates, in units of 1.5 periods. A fitted correlation time is at
-least one period, because a resonance with a shorter correlation time imitates a low-pass filter."""
+"""Correlation times of the candidates of a search, in units of 1.5 periods of the oscillation. A
+fitted correlation time is at least one period, because a resonance with a shorter correlation time
+imitates a low-pass filter."""
 
 
 @dataclass(frozen=True)
@@ -42,11 +43,11 @@ class Resonance(Process):
         frequency, time = self.frequency, self.correlation_time
         z = cmath.exp(complex(-1.0 / time, 2.0 * math.pi * frequency))
         M, j = np.asarray(M, float), np.asarray(j, float)
-        sums = (1.0 - np.exp(M * cmath.log(z))) / (1.0 - z)
-        at_zero_lag = (M * (1.0 + z) / (1.0 - z) - 2.0 * z * sums / (1.0 - z)).real
+        power_sum = (1.0 - np.exp(M * cmath.log(z))) / (1.0 - z)
+        at_zero_lag = (M * (1.0 + z) / (1.0 - z) - 2.0 * z * power_sum / (1.0 - z)).real
         k = (np.maximum(j, 1.0) - 1.0) * M + 1.0
-        wave = np.cos(2.0 * math.pi * frequency * k + 2.0 * np.angle(sums))
-        at_lag = np.abs(sums) ** 2 * np.exp(-k / time) * wave
+        wave = np.cos(2.0 * math.pi * frequency * k + 2.0 * np.angle(power_sum))
+        at_lag = np.abs(power_sum) ** 2 * np.exp(-k / time) * wave
         return np.asarray(np.where(j >= 1, at_lag, at_zero_lag) / M**2)
 
     @property
@@ -56,8 +57,8 @@ class Resonance(Process):
     @property
     def density_at_zero(self) -> float:
         """The integral of exp(-|t|/T) cos(2 pi f t) over all t."""
-        turned = 2.0 * math.pi * self.frequency * self.correlation_time
-        return 2.0 * self.correlation_time / (1.0 + turned**2)
+        angle = 2.0 * math.pi * self.frequency * self.correlation_time
+        return 2.0 * self.correlation_time / (1.0 + angle**2)
 
     @property
     def slowest_time(self) -> float:
@@ -72,8 +73,8 @@ class Resonance(Process):
         return {'frequency': self.frequency, 'width': width, 'amplitude': value}
 
     def states(self) -> States:
-        rate, turn = 1.0 / self.correlation_time, 2.0 * math.pi * self.frequency
-        dynamics = np.array([[-rate, -turn], [turn, -rate]])
+        rate, angular_frequency = 1.0 / self.correlation_time, 2.0 * math.pi * self.frequency
+        dynamics = np.array([[-rate, -angular_frequency], [angular_frequency, -rate]])
         return States(dynamics, 2.0 * rate * np.eye(2), np.array([1.0, 0.0]), np.eye(2))
 
     @classmethod

@@ -71,7 +71,7 @@ class Sinusoid(Process):
         is_in_octave = np.append(np.diff(search.block) == 0.0, False) if len(f) else width > 0.0
         midpoints = (f + width / 2.0)[is_in_octave]  # between two bins of an octave
         frequencies = np.unique(np.concatenate([low_frequencies, f, midpoints]))
-        return (cls(float(each)) for each in frequencies if 0.0 < each < 0.49)
+        return (cls(float(frequency)) for frequency in frequencies if 0.0 < frequency < 0.49)
 
 
 def daily_cycle(samples: int, tau0: float) -> Sinusoid | None:
