@@ -17,23 +17,26 @@ from __future__ import annotations
 import math
 import sys
 from collections import Counter
+from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
 from functools import partial
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / 'test'))  # the package `support`
+
+from support.simulate_drives import MotionErrors, Route, SimulatedDrives, simulate_drives
+
 import allan_ros as ar
 from allan_ros.core.estimate import Estimate
-from allan_ros.core.filters.motion_factors import (
-    NoiseInMotion,
-    noise_in_motion,
-    predicted_errors,
-)
+from allan_ros.core.filters.drive_likelihood import DriveLikelihood, NoiseAtRest
+from allan_ros.core.filters.motion_factors import BOTH, LIMIT, NoiseInMotion, noise_in_motion
 from allan_ros.core.imu import ImuBatch
 from allan_ros.core.noise import Model
-from allan_ros.core.simulate_drives import MotionErrors, Route, SimulatedDrives, simulate_drives
-from allan_ros.core.stream.drives import Drive, DriveErrors, Rest, drive_errors
+from allan_ros.core.stream.drives import ROTATION, VELOCITY, Drive, DriveErrors, Rest, drive_errors
 from allan_ros.results.motion import noise_at_rest
 
 RATE, START_NS = 20.0, 10**18
@@ -106,6 +109,67 @@ def one_record(name: str, seed: int) -> Outcome:
     causes = tuple(cause.name for cause in motion.causes)
     before, after = results.recorded.drives.errors, drives_of(robot)[number:]
     return Outcome(motion, predicted_errors(before, after, noise, causes))
+
+
+def predicted_errors(
+    used: Sequence[DriveErrors],
+    others: Sequence[DriveErrors],
+    noise: Sequence[NoiseAtRest],
+    causes: tuple[str, ...] = (),
+) -> tuple[float, float, float]:
+    """Return the mean squared errors of drives, divided by the variance that other drives predict.
+
+    Parameters
+    ----------
+    used : sequence of DriveErrors
+        Drives from which factors and causes are estimated.
+    others : sequence of DriveErrors
+        Drives whose errors are predicted. Unknowns that all drives have in common, such as the bias
+        of the accelerometer, are estimated from the drives ``used``.
+    noise : sequence of NoiseAtRest
+        Noise of the six axes at rest.
+    causes : tuple of str
+        Names of the calibration errors in the third model, keys of `CAUSES`.
+
+    Returns
+    -------
+    (float, float, float)
+        Mean of the squared errors of rotation and velocity, divided by the predicted variance. The
+        first model is the noise at rest, the second model contains the factors, and the third model
+        contains factors and causes. The expected mean is 1 if the model is right.
+    """
+    whole = DriveLikelihood.of([*used, *others], noise)
+    data, predicted = part(whole, slice(0, len(used))), part(whole, slice(len(used), None))
+    plain = data.fit(BOTH)
+    largest_log_factors = [LIMIT * data.unknown.get(names[0], 0.0) for names in plain.groups]
+    log_factors_at_rest = np.minimum(plain.log_factors, largest_log_factors)
+    log_factors_at_rest[:2] = 0.0
+    rows = slice(ROTATION.start, VELOCITY.stop)
+    mean_squares = []
+    for fit in (
+        plain._replace(log_factors=log_factors_at_rest),
+        plain,
+        data.fit(BOTH, causes, plain),
+    ):
+        u = predicted.all_effects(fit.causes)
+        residuals = (predicted.y - u @ fit.mean)[:, rows]
+        noise_covariance = predicted.covariances(fit.groups, fit.log_factors)[1]
+        error_covariance = (noise_covariance + u @ fit.covariance @ u.swapaxes(1, 2))[:, rows, rows]
+        inverse = np.linalg.inv(error_covariance)
+        mean_squares.append(float(np.einsum('di,dij,dj->di', residuals, inverse, residuals).mean()))
+    return mean_squares[0], mean_squares[1], mean_squares[2]
+
+
+def part(whole: DriveLikelihood, drives: slice) -> DriveLikelihood:
+    """Return the likelihood of the drives in a range of indices."""
+    return replace(
+        whole,
+        y=whole.y[drives],
+        noise={name: each[drives] for name, each in whole.noise.items()},
+        own=whole.own[drives],
+        common=whole.common[drives],
+        effects={name: each[drives] for name, each in whole.effects.items()},
+    )
 
 
 def batch(samples: np.ndarray) -> ImuBatch:

@@ -14,13 +14,17 @@ package `python-ins` is needed (extra "consumers").
 from __future__ import annotations
 
 import sys
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / 'test'))  # the package `support`
+
 from bench_motion import MEMS, RATE, batch
+from support.simulate_drives import MotionErrors, Route, SimulatedDrives, simulate_drives
 
 import allan_ros as ar
-from allan_ros.core.simulate_drives import MotionErrors, Route, SimulatedDrives, simulate_drives
 
 CASES: dict[str, dict[str, float]] = {
     'as at rest': {},

@@ -15,15 +15,20 @@ former gain.
 from __future__ import annotations
 
 import argparse
+import sys
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / 'test'))  # the package `support`
+
 from ahrs.common.orientation import acc2q
 from ahrs.filters import Madgwick
+from support.simulate_drives import MotionErrors, Route, SimulatedDrives, simulate_drives
 
 from allan_ros.core.imu import AXES, ImuBatch
 from allan_ros.core.noise import Model
-from allan_ros.core.simulate_drives import MotionErrors, Route, SimulatedDrives, simulate_drives
 from allan_ros.core.stream.pipeline import ImuStream
 from allan_ros.export import ExportOptions, target_rows
 from allan_ros.nodes.push_plan import Proposal

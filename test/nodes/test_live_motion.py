@@ -9,9 +9,10 @@ import pytest
 
 pytest.importorskip('rclpy')
 
+from support.simulate_drives import MotionErrors, Route, simulate_drives
+
 from allan_ros.core.imu import ImuBatch
 from allan_ros.core.noise import Model
-from allan_ros.core.simulate_drives import MotionErrors, Route, simulate_drives
 
 RATE = 50.0
 OK, WARN = b'\x00', b'\x01'

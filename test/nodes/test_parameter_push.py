@@ -13,10 +13,11 @@ import pytest
 
 pytest.importorskip('rclpy')
 
+from support.simulate_drives import MotionErrors, Route, simulate_drives
+
 from allan_ros.core.errors import AllanError
 from allan_ros.core.imu import ImuBatch
 from allan_ros.core.noise import Model
-from allan_ros.core.simulate_drives import MotionErrors, Route, simulate_drives
 from allan_ros.nodes.former_values import Former, FormerValues
 from allan_ros.nodes.push_plan import PUSHED_TARGETS, Proposal, load_plan
 from allan_ros.readers.files import config_names

@@ -8,13 +8,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support.simulate_drives import MotionErrors, Route, simulate_drives
 
 import allan_ros as ar
 from allan_ros.cli.main import main
 from allan_ros.core.errors import AllanError
 from allan_ros.core.imu import ImuBatch
 from allan_ros.core.noise import Model
-from allan_ros.core.simulate_drives import MotionErrors, Route, simulate_drives
 from allan_ros.results.motion import measure_motion
 from allan_ros.view.finding_text import texts_of
 from allan_ros.view.verdict_text import verdict_of

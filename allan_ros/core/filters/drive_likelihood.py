@@ -228,18 +228,6 @@ class DriveLikelihood:
             unknown,
         )
 
-    def part(self, drives: slice) -> DriveLikelihood:
-        """Return the likelihood of the drives in a range of indices."""
-        return DriveLikelihood(
-            self.scale,
-            self.y[drives],
-            {name: each[drives] for name, each in self.noise.items()},
-            self.own[drives],
-            self.common[drives],
-            {name: each[drives] for name, each in self.effects.items()},
-            self.unknown,
-        )
-
     def fit(self, groups: Groups, causes: tuple[str, ...] = (), start: Fit | None = None) -> Fit:
         """Maximize the likelihood over the factors.
 

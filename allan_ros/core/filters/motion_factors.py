@@ -313,55 +313,6 @@ def _with_causes(data: DriveLikelihood, plain: Fit) -> tuple[Fit, dict[str, floa
     return best, gains
 
 
-def predicted_errors(
-    used: Sequence[DriveErrors],
-    others: Sequence[DriveErrors],
-    noise: Sequence[NoiseAtRest],
-    causes: tuple[str, ...] = (),
-) -> tuple[float, float, float]:
-    """Return the mean squared errors of drives, divided by the variance that other drives predict.
-
-    Parameters
-    ----------
-    used : sequence of DriveErrors
-        Drives from which factors and causes are estimated.
-    others : sequence of DriveErrors
-        Drives whose errors are predicted. Unknowns that all drives have in common, such as the bias
-        of the accelerometer, are estimated from the drives ``used``.
-    noise : sequence of NoiseAtRest
-        Noise of the six axes at rest.
-    causes : tuple of str
-        Names of the calibration errors in the third model, keys of `CAUSES`.
-
-    Returns
-    -------
-    (float, float, float)
-        Mean of the squared errors of rotation and velocity, divided by the predicted variance. The
-        first model is the noise at rest, the second model contains the factors, and the third model
-        contains factors and causes. The expected mean is 1 if the model is right.
-    """
-    whole = DriveLikelihood.of([*used, *others], noise)
-    data, predicted = whole.part(slice(0, len(used))), whole.part(slice(len(used), None))
-    plain = data.fit(BOTH)
-    largest_log_factors = [LIMIT * data.unknown.get(names[0], 0.0) for names in plain.groups]
-    log_factors_at_rest = np.minimum(plain.log_factors, largest_log_factors)
-    log_factors_at_rest[:2] = 0.0
-    rows = slice(ROTATION.start, VELOCITY.stop)
-    mean_squares = []
-    for fit in (
-        plain._replace(log_factors=log_factors_at_rest),
-        plain,
-        data.fit(BOTH, causes, plain),
-    ):
-        u = predicted.all_effects(fit.causes)
-        residuals = (predicted.y - u @ fit.mean)[:, rows]
-        noise_covariance = predicted.covariances(fit.groups, fit.log_factors)[1]
-        error_covariance = (noise_covariance + u @ fit.covariance @ u.swapaxes(1, 2))[:, rows, rows]
-        inverse = np.linalg.inv(error_covariance)
-        mean_squares.append(float(np.einsum('di,dij,dj->di', residuals, inverse, residuals).mean()))
-    return mean_squares[0], mean_squares[1], mean_squares[2]
-
-
 def _ratio(data: DriveLikelihood, fit: Fit, sensor: str) -> Estimate:
     """Return the rms error of a sensor in all drives, divided by its prediction.
 

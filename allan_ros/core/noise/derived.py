@@ -20,7 +20,7 @@ from collections.abc import Iterable, Sequence
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ..nonnegative import nonnegative_least_squares
 from .process import Floats, Process
@@ -48,47 +48,6 @@ def avar(process: Process, m: ArrayLike) -> Floats:
     array([1.  , 0.25])
     """
     return np.asarray(process.gamma(m, 0) - process.gamma(m, 1))
-
-
-def autocorrelation(weights: NDArray[np.number]) -> Floats:
-    """Return the coefficients c_j for which sum w_i conj(w_k) gamma_|i-k| equals sum c_j gamma_j.
-
-    The weights w and the coefficients c are (..., n).
-    """
-    n = np.shape(weights)[-1]
-    coefficients = np.fft.ifft(np.abs(np.fft.fft(weights, 2 * n)) ** 2).real[..., :n]
-    coefficients[..., 1:] *= 2.0
-    return np.asarray(coefficients)
-
-
-def contrast_variance(process: Process, weights: NDArray[np.number], step: int = 1) -> Floats:
-    """Return the variance of sum w_i y_i for consecutive means y_i over ``step`` samples.
-
-    Parameters
-    ----------
-    process : Process
-        Process with its shape in samples; its coefficient is 1.
-    weights : (..., n) array
-        Weights w_i whose sum is 0. With complex weights, the result is the mean square of the
-        magnitude, for example the expected power of a tapered block.
-    step : int
-        Samples per mean.
-
-    Returns
-    -------
-    (...) float64 array
-    """
-    lags = np.arange(np.shape(weights)[-1])
-    return np.asarray(autocorrelation(weights) @ process.gamma(step, lags))
-
-
-def covariance_of_means(process: Process, step: int, lags: ArrayLike) -> Floats:
-    """Return the covariance of means over ``step`` samples, up to a constant.
-
-    ``lags`` are the distances of two means as a number of means, for example a matrix of the
-    distances of all pairs. The result has the shape of ``lags``.
-    """
-    return process.gamma(step, lags)
 
 
 def growth_variance(process: Process, horizon: ArrayLike, window: ArrayLike) -> Floats:

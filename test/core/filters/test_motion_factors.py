@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from support.simulate_drives import MotionErrors, Route, SimulatedDrives, simulate_drives
 
 from allan_ros.core.estimate import Estimate
 from allan_ros.core.filters.motion_factors import (
@@ -18,7 +19,6 @@ from allan_ros.core.filters.motion_factors import (
     noise_in_motion,
 )
 from allan_ros.core.noise import Model
-from allan_ros.core.simulate_drives import MotionErrors, Route, SimulatedDrives, simulate_drives
 from allan_ros.core.stream.drives import Drive, DriveErrors, Rest, drive_errors
 
 RATE = 50.0

@@ -6,10 +6,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from support.simulate_drives import Route, SimulatedDrives, simulate_drives
 
 from allan_ros.core.imu import ImuBatch
 from allan_ros.core.noise import Model
-from allan_ros.core.simulate_drives import Route, SimulatedDrives, simulate_drives
 from allan_ros.core.stream.drive_recorder import Drives
 from allan_ros.core.stream.pipeline import ImuStream
 

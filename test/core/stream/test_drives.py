@@ -8,10 +8,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from support.simulate_drives import MotionErrors, Route, simulate_drives
 
 from allan_ros.core.filters.motion_factors import axis_noise
 from allan_ros.core.noise import Model
-from allan_ros.core.simulate_drives import MotionErrors, Route, simulate_drives
 from allan_ros.core.stream.drives import ROTATION, VELOCITY, Drive, Rest, drive_errors
 
 RATE = 50.0

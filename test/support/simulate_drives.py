@@ -12,11 +12,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .imu import STANDARD_GRAVITY
-from .noise import Model
-from .settings import CheckedSettings, parameter
-from .simulator import simulate_imu
-from .stream.drives import EARTH_RATE, rotation_matrices
+from allan_ros.core.imu import STANDARD_GRAVITY
+from allan_ros.core.noise import Model
+from allan_ros.core.settings import CheckedSettings, parameter
+from allan_ros.core.simulator import simulate_imu
+from allan_ros.core.stream.drives import EARTH_RATE, rotation_matrices
 
 Floats = NDArray[np.float64]
 
