@@ -18,7 +18,7 @@ from .noise_floor import LEAST_WINDOW, MAD_TO_SIGMA, NoiseFloor, WindowClass, Wi
 
 SPIKE_SIGMAS = 7.0
 """An isolated sample is a spike if it deviates from the median of its window by more than this
-number of standard deviations of the noise floor. Less than 1e-10 of the samples of white noise
+number of standard deviations of the noise floor. At 100 Hz, 1e-10 of the samples of white noise
 deviate that much. Their replacement changes the variance by less than the fraction 1e-8."""
 
 SPIKE_NEIGHBORS, NEIGHBOR_RATIO = 4, 0.6

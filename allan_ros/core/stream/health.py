@@ -32,7 +32,7 @@ PLAUSIBLE_RATE_HZ = 0.1, 1e5
 """Range of sample rates in Hz; outside of this range, the unit of the stamps is probably wrong."""
 
 RATE_CHANGE = 0.02
-"""Smallest relative difference between two sample periods that is regarded as another rate."""
+"""Smallest relative difference between two sample periods that counts as a change of the rate."""
 
 REPORTED_DROPPED_SHARE = 0.02
 """Smallest share of samples with backward stamps that is reported. If stamps are bursty, the gaps
@@ -51,31 +51,33 @@ percent."""
 
 LEAST_SPIKES, LEAST_SPIKE_SHARE = 3, 1e-6
 """Smallest number of isolated spikes, and smallest share of spikes among the samples, that are
-reported. The share in white noise is below 1e-7."""
+reported. In white noise, the share of spikes is below 1e-7."""
 
 LARGEST_N, LARGEST_REST_RATE = 3e-3, 0.2
 """Angle random walk in rad/s/sqrt(Hz) (10 deg/sqrt(h)) and mean rate at rest in rad/s (11 deg/s)
 above which the declared unit of a gyro is wrong."""
 
 USUAL_N = 3e-4
-"""Angle random walk in rad/s/sqrt(Hz) (1 deg/sqrt(h)) of a usual gyro. The unit in which N is
-nearest to this value is the most probable one."""
+"""Angle random walk in rad/s/sqrt(Hz) (1 deg/sqrt(h)) of a typical gyro. The unit in which N is
+nearest to this value is the most probable unit."""
 
 UNIT_ERROR, LARGEST_ACCEL_RATIO = 0.2, 3.0
-"""The unit of the gyro changed if its noise rose by the factor between two units with at most this
-relative error, while the noise of the accelerometer rose by at most the second factor."""
+"""The unit of the gyro has changed if the ratio of its noise now to its noise before agrees with
+the conversion factor of another unit within the first relative error, and the ratio of the
+accelerometer is at most the second number."""
 
 NO_AXES = np.zeros(0)
 
 G_BAND = 0.15
-"""Largest relative difference from gravity of a mean acceleration that is regarded as gravity."""
+"""A mean acceleration is regarded as gravity if it differs from gravity by less than this
+fraction."""
 
 SAME_SUMS = 1e-6
-"""Largest relative difference between the Allan sums of two equal axes, due to rounding."""
+"""Largest relative difference, due to rounding, between the Allan sums of two equal axes."""
 
 WEIGHTLESS = 0.05
-"""If a mean acceleration at rest is below this fraction of gravity in any unit, gravity was removed
-from the data."""
+"""If a mean acceleration at rest is below this fraction of gravity, whatever its unit is, gravity
+was removed from the data."""
 
 
 @dataclass
@@ -83,37 +85,35 @@ class Counts:
     """Numbers of used, excluded, lost and interpolated samples since the start of a stream.
 
     If the sensors have different rates, the counts of both sensor streams are added, except for
-    ``received`` and ``skipped``. For one sensor stream, received + interpolated = used + skipped +
-    other_frame + not_finite + duplicate + backward + untimed + moving + stuck + noise_increased +
-    noise_decreased + the samples still buffered.
+    ``received``, ``skipped``, ``other_frame`` and ``reordered``. For one sensor stream without
+    repeated samples, received + interpolated = used + skipped + other_frame + not_finite +
+    duplicate + backward + untimed + moving + stuck + noise_increased + noise_decreased + the
+    samples that are still buffered.
     """
 
     received: int = 0
     used: int = 0  # samples in the sums, including interpolated samples
-    # excluded
-    skipped: int = 0  # in the warm-up time at the start, or in a time that earlier samples cover
-    other_frame: int = 0  # with an earlier frame_id whose sums were discarded
-    not_finite: int = 0  # with a value that is NaN, infinite, or too large for any IMU
-    duplicate: int = 0  # the stamp and all values repeat the previous sample
-    backward: int = 0  # the stamp is earlier than the latest one
-    reordered: int = 0  # not excluded: arrived after a sample with a later stamp, and sorted
-    untimed: int = 0  # while the period is learned, the stamps do not advance often enough
-    # missing according to the stamps
-    lost: int = 0
+    skipped: int = 0  # samples in the warm-up time, or in a time that earlier samples cover
+    other_frame: int = 0  # samples with an earlier frame_id whose sums were discarded
+    not_finite: int = 0  # samples with a value that is NaN, infinite, or too large for any IMU
+    duplicate: int = 0  # samples whose stamp and values repeat the previous sample
+    backward: int = 0  # excluded samples with a stamp that is earlier than the latest stamp
+    reordered: int = 0  # samples that arrived after a later sample, and were sorted
+    untimed: int = 0  # first samples whose stamps advance too rarely to show the sample period
+    lost: int = 0  # samples that are missing according to the stamps
     interpolated: int = 0  # lost samples that were interpolated
-    # excluded, because they are not at rest
-    moving: int = 0
-    stuck: int = 0  # an axis repeats one value
-    noise_increased: int = 0  # at rest, but the noise is much larger than the noise floor
-    noise_decreased: int = 0  # much less noise than the noise floor, or clipped
+    moving: int = 0  # excluded samples in motion, or next to a motion
+    stuck: int = 0  # excluded samples while an axis repeats one value
+    noise_increased: int = 0  # excluded samples at rest whose noise exceeds the noise floor
+    noise_decreased: int = 0  # excluded samples with much less noise, or with a newly clipped axis
     spikes: int = 0  # isolated values that were replaced, counted per axis
-    shocks: int = 0  # number of shocks
-    replaced: int = 0  # part of `used`: samples of shocks, replaced by a line between means
-    # reason -> number of times the data were split
+    shocks: int = 0  # shocks whose samples were replaced
+    replaced: int = 0  # samples of shocks that were replaced by a line; they are in `used`
+    # reason -> number of times that the data were split
     splits: Counter[str] = field(default_factory=Counter)
 
     def add(self, other: Counts) -> None:
-        """Add the counts of another stream to these counts."""
+        """Add the counts ``other``, for example of another stream."""
         for f in fields(self):
             if f.name != 'splits':
                 setattr(self, f.name, getattr(self, f.name) + getattr(other, f.name))
@@ -136,7 +136,7 @@ class Event(NamedTuple):
 
 
 class Segment(NamedTuple):
-    """A part of a stream without a gap, which begins at the stamp ``start_ns``.
+    """Static samples without a gap between them, the first of which has the stamp ``start_ns``.
 
     ``cut`` is the reason for the split before the segment, such as 'gap' or 'motion'; '' for the
     first segment.
@@ -156,7 +156,7 @@ T = TypeVar('T', Event, Segment)
 
 
 class Longest(Generic[T]):
-    """The longest events or segments, at most ``number``."""
+    """Keeps the longest events or segments, at most ``number`` of them."""
 
     def __init__(self, number: int) -> None:
         self._number = number
@@ -177,17 +177,18 @@ class Longest(Generic[T]):
 class StreamHealth:
     """State and counts of a stream."""
 
-    counts: Counts  # a copy; later samples do not change it
+    counts: Counts  # a copy that later samples do not change
     state: State = 'waiting'
-    rate_hz: float | None = None  # None before it is learned
+    rate_hz: float | None = None  # sample rate; None before it is learned
     bursty: bool = False  # whether stamps come in bursts
-    base_rate_hz: float | None = None  # rate if no samples were missing regularly
+    # sample rate without missing samples, if samples are missing regularly; else None
+    base_rate_hz: float | None = None
     first_ns: int | None = None  # first stamp with the current frame_id
     stamps: str = 'header'  # which stamps are used: 'header' or 'record'
     frame_id: str = ''  # frame_id of the latest sample
     sums_frame_id: str = ''  # frame_id of the sums with the longest elapsed time
     frame_changes: int = 0
-    discarded: int = 0  # how often sums were discarded because another noise floor was learned
+    discarded: int = 0  # how often sums were discarded, because another noise floor was learned
     # axis -> largest ratio of its noise at rest to the noise floor; empty if no noise increased
     largest_increase: Mapping[str, float] = field(default_factory=dict)
     discarded_s: float = 0.0  # time in s from the first discarded sample to the first kept one
@@ -195,9 +196,9 @@ class StreamHealth:
     outliers: Mapping[str, float] = field(default_factory=dict)
     events: tuple[Event, ...] = ()  # shocks, motions and changes of the noise
     dropped_frames: int = 0  # number of frame_ids whose sums were discarded
-    # axis -> smallest ratio of its noise to the noise floor; empty if no noise decreased much
+    # axis -> smallest ratio of its noise to the noise floor; empty if no noise decreased
     largest_decrease: Mapping[str, float] = field(default_factory=dict)
-    stuck_axes: tuple[str, ...] = ()  # axes that repeated one value
+    stuck_axes: tuple[str, ...] = ()  # axes that have repeated one value
     # axis -> share of its samples at rest that are at the end of the measurement range
     clipped: Mapping[str, float] = field(default_factory=dict)
     faults: tuple[Finding, ...] = ()  # known faults of the latest samples
@@ -214,7 +215,7 @@ class StreamHealth:
 
 @dataclass(frozen=True)
 class Accumulation:
-    """What a stream has accumulated: sums, health, findings and segments.
+    """Results of a stream: Allan sums, health, findings and segments.
 
     ``sums`` has one entry for all axes, or one per sensor if their rates differ. A sensor without
     data has no entry. If the sample rate or the frame_id changed, only the sums with the longest
@@ -228,14 +229,14 @@ class Accumulation:
 
 
 KEPT_MEANS = 120
-"""Largest number of means that are kept until they are read; the oldest ones are discarded."""
+"""Largest number of one-second means that are kept until they are read; older means are removed."""
 
 
 class Means(NamedTuple):
     """One-second means of static data for the axes of one sensor stream.
 
     ``end_ns``, (n,), are the ends of the seconds in ns. ``values``, (n, axes), are the means in the
-    unit of the samples. They are the input of the bias filter.
+    unit of the samples. `BiasTracker` estimates the bias from these means.
     """
 
     axes: tuple[str, ...]
@@ -252,40 +253,40 @@ class RunningMeans:
         self.cut()
 
     def cut(self) -> None:
-        """Drop the incomplete mean, because a gap follows."""
+        """Remove the incomplete mean, because a gap follows."""
         self._start_ns: int | None = None
         self._second = 0  # index of the incomplete second, counted from `_start_ns`
         self._open: list[Floats] = []  # samples of the incomplete second
 
     def update(self, stamps: NDArray[np.int64], rows: Floats) -> None:
-        """Add samples without a gap: increasing stamps (n,) in ns, values (axes, n)."""
+        """Add samples without a gap: increasing stamps, (n,), in ns, and values, (axes, n)."""
         if self._start_ns is None:
             self._start_ns = int(stamps[0])
-        last = int(stamps[-1] - self._start_ns) // NANOSECONDS
-        if last > self._second:
-            end_ns = self._start_ns + np.arange(self._second + 1, last + 1) * NANOSECONDS
+        last_second = int(stamps[-1] - self._start_ns) // NANOSECONDS
+        if last_second > self._second:
+            end_ns = self._start_ns + np.arange(self._second + 1, last_second + 1) * NANOSECONDS
             ends = np.searchsorted(stamps, end_ns)
             first_rows = np.concatenate([*self._open, rows[:, : ends[0]]], axis=1)
             # each second is summed at once, so that the rounding does not depend on the batches
             sums, counts = np.add.reduceat(first_rows, [0], axis=1), np.array([first_rows.shape[1]])
-            seconds = np.flatnonzero(np.diff(ends))  # later seconds with samples
+            seconds = np.flatnonzero(np.diff(ends))  # seconds with samples, after the first second
             if len(seconds):
                 later_sums = np.add.reduceat(rows[:, : ends[-1]], ends[seconds], axis=1)
                 sums = np.concatenate([sums, later_sums], axis=1)
                 counts = np.concatenate([counts, np.diff(ends)[seconds]])
             self._keep(np.concatenate([end_ns[:1], end_ns[seconds + 1]]), (sums / counts).T)
-            self._second, self._open = last, []
+            self._second, self._open = last_second, []
             rows = rows[:, ends[-1] :]
         self._open.append(rows.copy())
 
     def _keep(self, end_ns: NDArray[np.int64], values: Floats) -> None:
-        axes, *before = self.means
-        end_ns, values = (np.concatenate(a)[-KEPT_MEANS:] for a in zip(before, (end_ns, values)))
+        axes, *former = self.means
+        end_ns, values = (np.concatenate(a)[-KEPT_MEANS:] for a in zip(former, (end_ns, values)))
         self.means = Means(axes, end_ns, values)
 
 
 def events(health: StreamHealth) -> Counter[str]:
-    """Return the number of events since the start for each id of a finding, causes first."""
+    """Return id of a finding -> number of its events since the start, causes before effects."""
     c = health.counts
     return Counter(
         clock_jumps=c.splits['clock jump'],
@@ -322,11 +323,11 @@ def stream_findings(
 ) -> list[Finding]:
     """Return the findings about a complete stream and its sums."""
     c = health.counts
-    found = [*event_findings(events(health), health), *health.faults]
+    findings = [*event_findings(events(health), health), *health.faults]
 
     def add(id: str, present: object, axes: tuple[str, ...] = (), **numbers: Any) -> None:
         if present:
-            found.append(finding(id, axes, **numbers))
+            findings.append(finding(id, axes, **numbers))
 
     received, used = max(c.received, 1), max(c.used, 1)
     rate = 1.0 / sums[0].tau0 if sums and sums[0].tau0 else health.rate_hz
@@ -339,15 +340,20 @@ def stream_findings(
     add('rate_assumed', base and rate, rate=rate, base=base)
     add('bursty_stamps', health.bursty and rate, rate=rate)
     kept_share = 1.0 - c.backward / received
-    are_mixed = health.bursty and kept_share < 1.0 - REPORTED_DROPPED_SHARE
-    add('stamps_mixed', are_mixed, share=1.0 - kept_share, factor=max(kept_share, 0.01) ** -0.5)
+    has_mixed_stamps = health.bursty and kept_share < 1.0 - REPORTED_DROPPED_SHARE
+    add(
+        'stamps_mixed',
+        has_mixed_stamps,
+        share=1.0 - kept_share,
+        factor=max(kept_share, 0.01) ** -0.5,
+    )
     gaps = c.splits['gap']
     add('gaps', gaps, lost=c.lost, splits=gaps)
     share = c.interpolated / received
-    are_many = share > REPORTED_INTERPOLATED_SHARE
-    add('interpolated', are_many, interpolated=c.interpolated, share=share)
-    are_many = c.spikes >= max(LEAST_SPIKES, LEAST_SPIKE_SHARE * c.used)
-    add('spikes', are_many, count=c.spikes, share=c.spikes / used)
+    has_interpolated = share > REPORTED_INTERPOLATED_SHARE
+    add('interpolated', has_interpolated, interpolated=c.interpolated, share=share)
+    has_spikes = c.spikes >= max(LEAST_SPIKES, LEAST_SPIKE_SHARE * c.used)
+    add('spikes', has_spikes, count=c.spikes, share=c.spikes / used)
     for axis, clipped in health.clipped.items():
         add('clipped', clipped, (axis,), share=clipped)
     heavy_axes = tuple(health.outliers)
@@ -366,19 +372,19 @@ def stream_findings(
     ratios = health.largest_increase
     ratio = max(ratios.values(), default=0.0)
     axes = tuple(axis for axis, r in ratios.items() if r > INCREASE_SHARE * ratio)
-    increased = health.rate_hz and c.noise_increased and ratio
+    has_increased = health.rate_hz and c.noise_increased and ratio
     gyro_axes = tuple(axis for axis in ratios if not _is_accel(axis))
     accel_ratios = np.array([ratios[axis] for axis in ratios if axis not in gyro_axes])
     gyro_ratios = np.array([ratios[axis] for axis in gyro_axes])
-    unit = changed_gyro_unit(gyro_ratios, accel_ratios) if increased else ''
+    unit = changed_gyro_unit(gyro_ratios, accel_ratios) if has_increased else ''
     add('gyro_unit_changed', unit, gyro_axes, ratio=ratio, unit=unit)
     seconds = c.noise_increased / rate
-    add('noise_increased', increased and not unit, axes, ratio=ratio, seconds=seconds)
+    add('noise_increased', has_increased and not unit, axes, ratio=ratio, seconds=seconds)
     ratios, seconds = health.largest_decrease, c.noise_decreased / rate
-    decreased = health.rate_hz and c.noise_decreased and ratios
+    has_decreased = health.rate_hz and c.noise_decreased and ratios
     smallest_ratio = min(ratios.values(), default=1.0)
-    decreased = decreased and all(fault.id != 'noise_decreased' for fault in health.faults)
-    add('noise_decreased', decreased, tuple(ratios), ratio=smallest_ratio, seconds=seconds)
+    has_decreased = has_decreased and all(fault.id != 'noise_decreased' for fault in health.faults)
+    add('noise_decreased', has_decreased, tuple(ratios), ratio=smallest_ratio, seconds=seconds)
     never_at_rest = c.moving and not c.used and health.rate_hz
     add('never_still', never_at_rest, seconds=c.moving / rate)
     classified = max(c.moving + c.noise_increased + c.used, 1)
@@ -388,9 +394,9 @@ def stream_findings(
             tuple(np.array(each.axes)[each.sum_sq[0] == 0.0].tolist()) if len(each.m) else ()
         )
         add('no_noise', axes_without_noise, axes_without_noise)
-        found += [*_equal_axes(each), *unit_findings(each)]
+        findings += [*_equal_axes(each), *unit_findings(each)]
     add('nothing_left', c.received and not sums, received=c.received)
-    return found
+    return findings
 
 
 def _is_accel(axis: str) -> bool:
@@ -398,11 +404,14 @@ def _is_accel(axis: str) -> bool:
 
 
 def _times(events: list[Event], health: StreamHealth) -> str:
-    """Return when the events began, in s since the first sample, as text; at most the first 3."""
+    """Return a text with the times of at most three events in s since the first sample.
+
+    It ends with the number of further events, if there are any.
+    """
     start = health.first_ns or 0
     times = [f'{(event.start_ns - start) * 1e-9:.0f} s' for event in events]
-    more = [f'{len(times) - 3} more'] if len(times) > 3 else []
-    *first, last = [*times[:3], *more] or ['']
+    further = [f'{len(times) - 3} more'] if len(times) > 3 else []
+    *first, last = [*times[:3], *further] or ['']
     return ' and '.join([', '.join(first), last] if first else [last])
 
 
@@ -425,7 +434,7 @@ def changed_gyro_unit(gyro: Floats, accel: Floats = NO_AXES) -> str:
 
 
 def probable_gyro_unit(n: float) -> str:
-    """Return the unit in which the N of a gyro is usual; ``n`` is N in an unknown unit."""
+    """Return the unit in which the N of a gyro is most typical; ``n`` is N in an unknown unit."""
     factors = {unit: UNITS[unit].factor for unit in SAMPLE_UNITS['gyro'][1:]}
     return min(factors, key=lambda unit: abs(math.log(max(n, LARGEST_N) * factors[unit] / USUAL_N)))
 
@@ -451,25 +460,25 @@ def _equal_axes(sums: AllanSums) -> list[Finding]:
 
 
 def unit_findings(sums: AllanSums) -> list[Finding]:
-    """Return a finding for each sensor whose noise or mean is impossible in SI units."""
+    """Return a finding for each sensor whose noise or mean is implausible in SI units."""
     if not sums.tau0 or not sums.recordings:
         return []
-    total = np.sum([r.samples * r.mean for r in sums.recordings], axis=0)
-    mean = total / max(sums.samples, 1)
-    is_short = sums.m * sums.tau0 <= 1.0
+    sample_sums = np.sum([r.samples * r.mean for r in sums.recordings], axis=0)
+    mean = sample_sums / max(sums.samples, 1)
+    is_below_1s = sums.m * sums.tau0 <= 1.0
     found: list[Finding] = []
-    for sensor, place in SENSORS.items():
+    for sensor, sensor_slice in SENSORS.items():
         columns = [i for i, axis in enumerate(sums.axes) if sensor_of(axis) == sensor]
         axes = tuple(sums.axes[i] for i in columns)
         if sensor == 'gyro' and columns:
             rate = float(np.abs(mean[columns]).max())
-            tau = sums.m[is_short, None] * sums.tau0
-            level = np.sqrt(sums.avar[is_short][:, columns] * tau)
-            n = float(np.median(level.min(axis=0))) if len(tau) else 0.0
+            tau = sums.m[is_below_1s, None] * sums.tau0
+            axis_n = np.sqrt(sums.avar[is_below_1s][:, columns] * tau)
+            n = float(np.median(axis_n.min(axis=0))) if len(tau) else 0.0
             if n > LARGEST_N or rate > LARGEST_REST_RATE:
                 unit = probable_gyro_unit(n)
                 found.append(finding('gyro_unit', axes, n=n, rate=rate, unit=unit))
-        elif len(columns) == place.stop - place.start:
+        elif len(columns) == sensor_slice.stop - sensor_slice.start:
             norm = _norm_at_rest(sums, columns)
             found += gravity_findings(norm, axes)
     return found
@@ -483,9 +492,9 @@ def _norm_at_rest(sums: AllanSums, axes: list[int]) -> float:
     weights, norms = [], []
     for recording in sums.recordings:
         for means in recording.means:
-            value = means.values[:, axes].mean(axis=0) + recording.reference[axes]
+            mean_vector = means.values[:, axes].mean(axis=0) + recording.reference[axes]
             weights.append(float(means.samples))
-            norms.append(float(np.linalg.norm(value)))
+            norms.append(float(np.linalg.norm(mean_vector)))
         if not recording.means:
             weights.append(float(recording.samples))
             norms.append(float(np.linalg.norm(recording.mean[axes])))
@@ -506,7 +515,7 @@ def gravity_unit(norm: float) -> str:
 def gravity_findings(norm: float, axes: tuple[str, ...]) -> list[Finding]:
     """Return a finding if a mean acceleration at rest, in m/s^2, differs from gravity.
 
-    There is no finding if it is nearly 0, because gravity may have been removed from the data.
+    There is no finding if the mean is nearly 0, because gravity may have been removed on purpose.
     """
     if abs(norm / STANDARD_GRAVITY**2 - 1.0) < G_BAND:
         # g was declared as the unit, but the samples were in m/s^2

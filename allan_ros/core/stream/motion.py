@@ -7,18 +7,19 @@ Method
 The stream is classified in windows of about half a second. A window is moving if its variance, its
 largest deviation, the step of its mean or its mean angular rate exceeds a limit. The limits are
 derived from the noise floor, which is the noise of the sensor at rest. A window of white noise is
-classified as moving with a probability below 1e-12, so N has no bias. Motion begins at higher
-limits than it ends (hysteresis). Some windows before and after a motion are excluded, too.
+classified as moving with a probability below 1e-12, so N has no bias. The limits at which a motion
+begins are higher than the limits at which it ends (hysteresis). Some windows before and after a
+motion are also excluded.
 
 First, isolated spikes are replaced. On an axis whose noise has heavy tails, isolated large values
-are noise: they stay in the data and are not regarded as motion. The samples of a shock are
-replaced, too.
+are noise: they stay in the data and are not regarded as motion. The samples of a shock are also
+replaced.
 
 The noise floor is learned from the first windows in which the IMU can be at rest, and then updated
 from the quietest quarter of each block of windows. If the noise remains different while the IMU is
 at rest, or if an axis begins to be clipped, another noise level begins. Windows are counted from
-the start of the stream or the last gap, so the decisions do not depend on how the samples are
-divided into batches.
+the start of the stream or the last gap. Therefore, the decisions do not depend on how the samples
+are divided into batches.
 """
 
 from __future__ import annotations
@@ -52,28 +53,28 @@ WINDOW_S = 0.5
 """Length of a window in s: long enough for a variance, short compared with a motion."""
 
 BLOCK_WINDOWS = 32
-"""Number of windows from which the noise floor is learned, after which the noise floor is updated,
-and in all of which the noise must be increased to begin another noise level. These windows are
-buffered: 0.15 MB for six axes at 200 Hz, 15 MB at 20 kHz."""
+"""Number of windows in a block. The noise floor is learned from a block, and updated after each
+further block. Another noise level begins if the noise is increased in all windows of a block. One
+block is buffered: 0.15 MB for six axes at 200 Hz, 15 MB at 20 kHz."""
 
 MOST_WINDOW = 1 << 15
-"""Longest window in samples, above 65 kHz: 50 MB of buffered samples."""
+"""Largest number of samples in a window, which is reached at 65 kHz: 50 MB are then buffered."""
 
 CHECKED_WINDOWS = BLOCK_WINDOWS // 4
 """Number of windows after which a check decides whether another noise level begins or continues."""
 
 ESTABLISHED_S = 45.0
-"""A noise level that has less than this time in s at rest, or clipped samples, is not established.
-If the noise increases after such a level, its noise was due to a fault or to another setting of the
-low-pass filter at the start, and the increased noise is normal at once. This does not hold if the
-noise of at least `MOVING_AXES` axes increases by more than `SHAKEN_RATIO`."""
+"""A noise level with less than this time in s at rest, or with clipped samples, is not established.
+If the noise increases after such a level, the low noise was due to a fault or to another setting of
+the low-pass filter at the start. The increased noise is then normal at once, unless it exceeds the
+noise floor by more than `SHAKEN_RATIO` on at least `MOVING_AXES` axes."""
 
 FAULTY_S = 600.0
 """Time in s for which decreased noise is regarded as a fault, even if it lasts longer than the
 noise before."""
 
 LEAST_FAULTY = 4
-"""Number of latest windows in which known faults are searched for if none of them is at rest."""
+"""Known faults are searched for in this number of latest windows, if none of these is at rest."""
 
 MOST_FILLED = 0.1
 """Largest share of interpolated samples in a window that is searched for outliers."""
@@ -100,15 +101,15 @@ class MotionGate:
         events: Longest[Event],
         settings: SegmenterSettings,
     ) -> None:
-        wanted = round(WINDOW_S * 1e9 / period_ns)
-        self.size = int(np.clip(wanted, LEAST_WINDOW, MOST_WINDOW))
+        samples_per_window = round(WINDOW_S * 1e9 / period_ns)
+        self.size = int(np.clip(samples_per_window, LEAST_WINDOW, MOST_WINDOW))
         self._axes, self._settings, self._events = axes, settings, events
         self._levels, self._counts = levels, counts
         self._period_s = period_ns * 1e-9
         self._rest = RestFilter(self.size, self._period_s, axes, levels, events, counts.splits)
         self._ratios = NoiseRatios(len(axes))
         self._learning: list[ImuBatch] = []  # samples before the noise floor is known
-        # samples that do not fill a window and its look-ahead yet
+        # samples after the last complete window; a window is complete with its look-ahead
         self._pending = ImuBatch.empty(len(axes))
         self._before = self._pending.rows  # the last samples before `_pending`
         # the latest windows at the present noise level, at most `BLOCK_WINDOWS`
@@ -118,7 +119,7 @@ class MotionGate:
 
     @property
     def faults(self) -> tuple[Finding, ...]:
-        """Known faults of the latest samples; samples at rest can only be clipped."""
+        """Known faults of the latest samples; of samples at rest, only clipping is reported."""
         recent, motion = self._recent.last(LEAST_FAULTY), self._rest.motion
         clipped = self._clipped
         if len(recent) < LEAST_FAULTY or recent.still.any():
@@ -130,12 +131,12 @@ class MotionGate:
 
     @property
     def _clipped(self) -> tuple[Finding, ...]:
-        """A finding for each axis that is clipped now, but not at the published noise level."""
+        """A finding for each axis that is clipped now, but not at the noise level of the result."""
         floor, published_floor = self._levels.present.floor, self._levels.published.floor
         if floor is None or published_floor is None:
             return ()
         recent, shares = self._recent.last(CHECKED_WINDOWS), floor.clipped
-        if len(recent) == CHECKED_WINDOWS:  # else the level has just begun
+        if len(recent) == CHECKED_WINDOWS:  # otherwise, the noise level has just begun
             shares = clipped_shares(recent.rows)
         return tuple(
             finding('clipped', (axis,), share=share)
@@ -153,23 +154,23 @@ class MotionGate:
         these windows are at rest, or if their noise is larger without a motion.
         """
         recent = self._recent.last(CHECKED_WINDOWS)
-        if len(recent) < CHECKED_WINDOWS:  # the level has just begun
+        if len(recent) < CHECKED_WINDOWS:  # the noise level has just begun
             return self._former_noise
         if not recent.still.all():
             floor = self._rest.floor
-            are_mixed = recent.still.any() or recent.found.foreign.any()
-            if are_mixed or floor.increase(recent.rows, recent.windows) is None:
+            has_other_windows = recent.still.any() or recent.found.foreign.any()
+            if has_other_windows or floor.increase(recent.rows, recent.windows) is None:
                 return {}
         return dict(zip(self._axes, recent.white_noise.tolist()))
 
     @property
     def increases(self) -> dict[str, float]:
-        """Axis -> largest ratio of its noise at rest to the noise floor, for increased noise."""
+        """Axis with increased noise -> largest ratio of its noise at rest to the noise floor."""
         return self._named(self._ratios.largest)
 
     @property
     def decreases(self) -> dict[str, float]:
-        """Axis -> smallest ratio of its noise to the noise floor, for decreased noise."""
+        """Axis with decreased noise -> smallest ratio of its noise to the noise floor."""
         return self._named(self._ratios.smallest)
 
     def _named(self, ratios: Floats) -> dict[str, float]:
@@ -177,8 +178,10 @@ class MotionGate:
 
     @property
     def stuck(self) -> tuple[str, ...]:
-        """Axes that repeated one value."""
-        return tuple(axis for axis, flag in zip(self._axes, self._rest.stuck) if flag)
+        """Axes that have repeated one value."""
+        return tuple(
+            axis for axis, repeats_value in zip(self._axes, self._rest.stuck) if repeats_value
+        )
 
     @property
     def heavy_tails(self) -> dict[str, float]:
@@ -186,8 +189,8 @@ class MotionGate:
         floor = self._levels.present.floor
         if floor is None or not floor.examined:
             return {}
-        share = floor.outliers / floor.examined
-        return {axis: float(share[i]) for i, axis in enumerate(self._axes) if floor.heavy[i]}
+        shares = floor.outliers / floor.examined
+        return {axis: float(shares[i]) for i, axis in enumerate(self._axes) if floor.heavy[i]}
 
     @property
     def state(self) -> State:
@@ -203,11 +206,11 @@ class MotionGate:
         """Add consecutive blocks, and return the samples that are confirmed to be at rest."""
         for block in blocks:
             while self._levels.present.floor is None and len(block):
-                room = BLOCK_WINDOWS * self.size - count_samples(self._learning)
-                self._learning.append(block.part(slice(room), block.cut))
-                if len(block) >= room:
+                number_missing = BLOCK_WINDOWS * self.size - count_samples(self._learning)
+                self._learning.append(block.part(slice(number_missing), block.cut))
+                if len(block) >= number_missing:
                     self._learn()
-                block = block.part(slice(room, None))
+                block = block.part(slice(number_missing, None))
             if len(block):
                 self._add(block)
         return self._rest.take()
@@ -230,15 +233,15 @@ class MotionGate:
             return
         for part in parts:
             windows = Windows.of(part.rows, self.size)
-            found = floor.classify(part.rows, windows, None, self.size)
-            floor = floor.with_outliers(_usable(part, self.size, ~found.moving))
+            classes = floor.classify(part.rows, windows, None, self.size)
+            floor = floor.with_outliers(_usable(part, self.size, ~classes.moving))
         self._levels.present.floor = floor
         self._rest.log_motion()
         for part in parts:
             self._add(part)
 
     def _learned_floor(self, parts: Iterable[ImuBatch]) -> NoiseFloor:
-        """Return the noise floor of some windows; there may be a gap between two parts."""
+        """Return the noise floor that is learned from ``parts``, between which may be gaps."""
         gyro = np.array([axis.startswith('gyro') for axis in self._axes])
         rows = [part.rows for part in _without_gaps(parts)]
         return NoiseFloor.learned(rows, self.size, gyro, self._settings)
@@ -255,12 +258,12 @@ class MotionGate:
         self._pending = buffered.part(slice(ready, None), '' if ready else buffered.cut).copy()
 
     def _flush_pending(self) -> None:
-        """Classify the buffered samples, because a gap follows, and pass on those at rest."""
-        rest, self._pending = self._pending, self._pending.part(slice(0))
-        while len(rest) and self._levels.present.floor is not None:
-            size = min(len(rest), self.size)
-            self._classify(rest, size, size)
-            rest = rest.part(slice(size, None))
+        """Classify the buffered samples, because a gap follows, and pass on samples at rest."""
+        remaining, self._pending = self._pending, self._pending.part(slice(0))
+        while len(remaining) and self._levels.present.floor is not None:
+            size = min(len(remaining), self.size)
+            self._classify(remaining, size, size)
+            remaining = remaining.part(slice(size, None))
         self._before = self._before[:, :0]
         self._rest.end_segment()
 
@@ -273,17 +276,21 @@ class MotionGate:
         """
         position = 0
         while position < samples:
-            ready = (samples - position) // size
-            number = min(ready, CHECKED_WINDOWS - self._number % CHECKED_WINDOWS)
-            group = min(ready, BLOCK_WINDOWS - self._number) if self._is_settled else number
+            number_ready = (samples - position) // size
+            number_to_check = min(number_ready, CHECKED_WINDOWS - self._number % CHECKED_WINDOWS)
+            number_together = (
+                min(number_ready, BLOCK_WINDOWS - self._number)
+                if self._is_settled
+                else number_to_check
+            )
             if self._rest.motion is not None or not self._pass(
-                buffered, position, group, size, group > number
+                buffered, position, number_together, size, number_together > number_to_check
             ):
-                self._pass(buffered, position, number, size)
-                group = number
-            position += group * size
+                self._pass(buffered, position, number_to_check, size)
+                number_together = number_to_check
+            position += number_together * size
             if size == self.size:
-                self._number += group
+                self._number += number_together
                 if self._number % CHECKED_WINDOWS == 0:
                     self._check()
 
@@ -293,39 +300,44 @@ class MotionGate:
         return self._levels.other is None and bool(self._rest.floor.variance.all())
 
     def _pass(
-        self, buffered: ImuBatch, at: int, number: int, size: int, only_at_rest: bool = False
+        self, buffered: ImuBatch, begin: int, number: int, size: int, only_at_rest: bool = False
     ) -> bool:
-        """Pass windows from sample ``at`` on to `RestFilter`, and return whether this was done.
+        """Pass ``number`` windows, which begin at sample ``begin``, to `RestFilter`.
 
-        With ``only_at_rest``, nothing is done if one of the windows is not at rest, or if the
-        clipped axes change.
+        Returns whether this was done. With ``only_at_rest``, nothing is done if one of the windows
+        is not at rest, or if the clipped axes change.
         """
-        end = at + number * size
-        block = buffered.part(slice(at, end), '' if at else buffered.cut)
-        after = buffered.rows[:, end : end + SPIKE_NEIGHBORS]
-        clean, windows, spikes = without_spikes(block, size, self._before, after, self._rest.floor)
-        if only_at_rest and self._clipping_changes(clean.rows):
+        end = begin + number * size
+        block = buffered.part(slice(begin, end), '' if begin else buffered.cut)
+        next_rows = buffered.rows[:, end : end + SPIKE_NEIGHBORS]
+        cleaned, windows, spikes = without_spikes(
+            block, size, self._before, next_rows, self._rest.floor
+        )
+        if only_at_rest and self._clipping_changes(cleaned.rows):
             return False
-        result = self._rest.add(clean, windows, size, only_at_rest)
+        result = self._rest.add(cleaned, windows, size, only_at_rest)
         if result is None:
             return False
         self._before = block.rows[:, -SPIKE_NEIGHBORS:].copy()
         self._counts.spikes += spikes
         if size == self.size:
-            part = WindowPart(clean, windows, *result)
+            part = WindowPart(cleaned, windows, *result)
             self._recent = self._recent.with_part(part, BLOCK_WINDOWS)
         return True
 
     def _clipping_changes(self, rows: Floats) -> bool:
-        """Return whether the clipped axes change in the next samples ``rows``, (axes, n).
+        """Return whether other axes are clipped in the next samples, (axes, n), than before.
 
         Each group of `CHECKED_WINDOWS` windows up to a check is compared with the noise floor.
         """
-        before = self._recent.last(self._number % CHECKED_WINDOWS)
-        rows = np.concatenate([before.rows, rows], axis=1) if len(before) else rows
-        step = CHECKED_WINDOWS * self.size
-        checked = (rows[:, end - step : end] for end in range(step, rows.shape[1] + 1, step))
-        return not all(map(self._rest.floor.has_clipping, checked))
+        recent = self._recent.last(self._number % CHECKED_WINDOWS)
+        rows = np.concatenate([recent.rows, rows], axis=1) if len(recent) else rows
+        samples_per_check = CHECKED_WINDOWS * self.size
+        groups = (
+            rows[:, end - samples_per_check : end]
+            for end in range(samples_per_check, rows.shape[1] + 1, samples_per_check)
+        )
+        return not all(map(self._rest.floor.has_clipping, groups))
 
     # --- the noise level --------------------------------------------------------------------------
 
@@ -338,8 +350,8 @@ class MotionGate:
         """
         levels = self._levels
         is_fault = levels.change == 'noise_decreased'
-        shortest = FAULTY_S if is_fault else 0.0
-        if levels.lasts_longer and levels.present.samples * self._period_s >= shortest:
+        shortest_s = FAULTY_S if is_fault else 0.0
+        if levels.lasts_longer and levels.present.samples * self._period_s >= shortest_s:
             self._accept()
         if not self._change_level():
             self._find_unit_change()
@@ -349,15 +361,15 @@ class MotionGate:
 
     def _update_floor(self) -> None:
         """Update the noise floor from the latest block of windows."""
-        block, still = self._recent, self._recent.still
-        updated = self._rest.floor.updated(block.windows, still, block.is_steady)
+        block, is_still = self._recent, self._recent.still
+        updated = self._rest.floor.updated(block.windows, is_still, block.is_steady)
         if updated.is_plausible():
-            examined = still & (np.arange(len(still)) % EXAMINED == 0)
-            usable = _usable(joined(block.samples), self.size, examined)
+            is_examined = is_still & (np.arange(len(is_still)) % EXAMINED == 0)
+            usable = _usable(joined(block.samples), self.size, is_examined)
             self._levels.present.floor = updated.with_outliers(usable)
 
     def _change_level(self) -> bool:
-        """Change the noise level if the latest windows fit another one; return whether it did."""
+        """Change the noise level if another one fits the latest windows; return if it changed."""
         floor, other = self._rest.floor, self._levels.other
         recent = self._recent.last(CHECKED_WINDOWS)
         rows, windows = recent.rows, recent.windows
@@ -376,46 +388,46 @@ class MotionGate:
                 return True
             return False
         learned = self._learned_floor(recent.samples)
-        at_rest = learned.rest(windows) & ~learned.foreign(rows, windows, self.size)
-        if learned.is_plausible() and at_rest.all() and floor.has_wrong_unit(learned):
+        is_at_rest = learned.rest(windows) & ~learned.foreign(rows, windows, self.size)
+        if learned.is_plausible() and is_at_rest.all() and floor.has_wrong_unit(learned):
             self._replace('moving', learned)
             return True
         return self._decreases_to(learned, recent) or self._has_increased()
 
     def _change_clipping(self, recent: RecentWindows) -> None:
-        """Begin another level, because the clipped axes have changed in the latest windows."""
+        """Begin another level, because other axes are clipped in the latest windows than before."""
         floor, learned = self._rest.floor, self._learned_floor(recent.samples)
-        clipped, variance = floor.newly_clipped(recent.rows), recent.windows.variance
-        if clipped.any():
-            flags = np.broadcast_to(clipped[:, None], variance.shape)
+        is_newly_clipped, variance = floor.newly_clipped(recent.rows), recent.windows.variance
+        if is_newly_clipped.any():
+            flags = np.broadcast_to(is_newly_clipped[:, None], variance.shape)
             self._ratios.add_decrease(variance, flags, floor.variance)
             self._try(learned, 'noise_decreased')
         else:  # only the samples before the latest windows were clipped
             self._replace('moving', learned)
 
     def _decreases_to(self, learned: NoiseFloor, recent: RecentWindows) -> bool:
-        """Begin another level if the noise decreased without a known fault; return whether it did.
+        """Begin another level if the noise decreased without a known fault; return if it began.
 
         ``learned`` is the noise floor of the latest windows. If the noise before was due to a
         motion, the present level is discarded.
         """
         floor = self._rest.floor
-        decreased = floor.decreased(recent.windows)
-        explained = is_stuck(recent.rows, self.size) | recent.found.foreign
-        decreased_axes = np.asarray((decreased & ~explained).all(axis=1))
+        has_decreased = floor.decreased(recent.windows)
+        is_explained = is_stuck(recent.rows, self.size) | recent.found.foreign
+        decreased_axes = np.asarray((has_decreased & ~is_explained).all(axis=1))
         if decreased_axes.any() and learned.shows_motion(floor, decreased_axes):
             self._replace('moving', learned)
             return True
-        if decreased.any() and (
+        if has_decreased.any() and (
             decreased_axes.any() or self._levels.present.counts.noise_decreased
         ):
-            self._ratios.add_decrease(recent.windows.variance, decreased, floor.variance)
+            self._ratios.add_decrease(recent.windows.variance, has_decreased, floor.variance)
         if decreased_axes.any():
             self._try(learned, 'noise_decreased')
         return bool(decreased_axes.any())
 
     def _has_increased(self) -> bool:
-        """Begin another level if the noise has increased in a block; return whether it has."""
+        """Begin another level if the noise increased in the latest block; return if it began."""
         block, floor = self._recent, self._rest.floor
         if len(block) < BLOCK_WINDOWS or not block.can_be_larger_noise:
             return False
@@ -436,7 +448,7 @@ class MotionGate:
         return True
 
     def _find_unit_change(self) -> None:
-        """Count windows as increased noise if the gyro changed to another unit."""
+        """Count the latest windows as increased noise if the unit of the gyro has changed."""
         recent, floor = self._recent.last(CHECKED_WINDOWS), self._rest.floor
         if not recent.can_be_larger_noise:
             return
@@ -484,7 +496,7 @@ class MotionGate:
 
 
 def _without_gaps(blocks: Iterable[ImuBatch]) -> list[ImuBatch]:
-    """Join the blocks that have no gap between them."""
+    """Join the blocks between which there is no gap."""
     groups: list[list[ImuBatch]] = []
     for block in blocks:
         if block.cut or not groups:
@@ -494,11 +506,11 @@ def _without_gaps(blocks: Iterable[ImuBatch]) -> list[ImuBatch]:
 
 
 def _usable(block: ImuBatch, size: int, chosen: Flags) -> Floats:
-    """Return the chosen windows without many interpolated samples, (axes, number * size)."""
+    """Return the samples, (axes, k * size), of the chosen windows with few interpolated samples."""
     samples = len(chosen) * size
-    cube = block.rows[:, :samples].reshape(len(block.rows), -1, size)
+    windows = block.rows[:, :samples].reshape(len(block.rows), -1, size)
     if block.filled is not None:
-        is_replaced = block.filled[:, :samples].reshape(cube.shape) > 0
-        share = is_replaced.mean(axis=2).max(axis=0)
-        chosen = chosen & (share <= MOST_FILLED)
-    return cube[:, chosen].reshape(len(cube), -1)
+        is_replaced = block.filled[:, :samples].reshape(windows.shape) > 0
+        replaced_shares = is_replaced.mean(axis=2).max(axis=0)
+        chosen = chosen & (replaced_shares <= MOST_FILLED)
+    return windows[:, chosen].reshape(len(windows), -1)

@@ -22,7 +22,7 @@ from .health import changed_gyro_unit, gravity_unit
 from .sensors import clipped_shares, extreme_shares
 
 LEAST_WINDOW = 16
-"""Shortest window in samples; the variance of fewer samples is not useful."""
+"""Smallest number of samples in a window; the variance of fewer samples is too uncertain."""
 
 QUANTILE = 0.25
 """The noise floor is this quantile of the variances of the windows. Therefore, up to three quarters
@@ -37,12 +37,12 @@ FLOOR_GAIN = 0.25
 
 DECREASE_RATIO = 5.0
 """The noise of an axis decreased if its standard deviation in a window is smaller than the noise
-floor by more than this factor. Of the shortest windows of white noise, 1e-7 have so small a
-standard deviation (chi-squared with 15 degrees of freedom)."""
+floor by more than this factor. Less than 1e-8 of the shortest windows of white noise have so small
+a standard deviation (chi-squared with 15 degrees of freedom)."""
 
 SHAKEN_RATIO = 30.0
-"""Ratio of the standard deviations of an axis at two times above which the sensor was shaken at the
-time of the larger one. Fans, motors and settings of the sensor change the noise less."""
+"""If the standard deviation of an axis is larger by more than this factor than at another time, the
+sensor was shaken. Fans, motors and settings of the sensor change the noise less."""
 
 MOVING_AXES = 2
 """A motion increases the noise of at least this number of axes, but a fault may affect only one."""
@@ -86,9 +86,9 @@ EXAMINED = 16
 """To save time, only one in this number of windows at rest is searched for outliers."""
 
 CLIPPED_SHARE, UNCLIPPED = 0.1, 0.25
-"""An axis begins to be clipped when at least the first share of its samples is clipped. It is no
-longer clipped when the share of samples at its extreme values is below the second fraction of the
-clipped share in the noise floor. Because of the two limits, a share near one of them does not
+"""An axis begins to be clipped when at least the first share of its samples is clipped. Clipping
+ends when the share of samples at an extreme value is below the second fraction of the share that
+was clipped when the noise floor was learned. With a single limit, a share near this limit would
 change the noise level again and again."""
 
 INCREASE_RATIO = 1.5
@@ -99,9 +99,9 @@ INCREASE_SPREAD = 4.0
 """The variances of the windows of stationary noise lie within this factor of their median."""
 
 INCREASE_SPECTRUM = 0.5
-"""The von Neumann ratio of increased noise is at least this fraction of the noise floor's ratio
-(or of white noise, if that is smaller). Motion has a smaller ratio, because it has low
-frequencies."""
+"""The von Neumann ratio of increased noise is at least this fraction of the ratio of the noise
+floor, or of white noise if that ratio is smaller. The ratio of a motion is smaller, because a
+motion has low frequencies."""
 
 SAME_DIRECTION = 0.035
 """Largest change of the measured gravity vector, relative to its magnitude, of an IMU that did not
@@ -112,12 +112,12 @@ LEAVE_RATIO = 0.8
 """A motion ends when the standard deviation is below this fraction of the limit for its start."""
 
 SHOCK_SIGMAS = 20.0
-"""A sample that deviates from the mean of its window by this many standard deviations of the noise
-floor is part of a shock."""
+"""A sample that deviates from the mean of its window by more than this number of standard
+deviations of the noise floor is part of a shock."""
 
 STEP_SIGMAS = 8.0
-"""Means of neighboring windows that differ by this many standard deviations of the difference
-indicate motion."""
+"""Means of neighboring windows that differ by more than this number of standard deviations of the
+difference indicate motion."""
 
 PLAUSIBLE_DEVIATION, PLAUSIBLE_STEP = (0.1, 1.5), (0.0087, 0.15)
 """Two limits for the noise at rest, each for a gyro (rad/s) and an accelerometer (m/s^2). The first
@@ -128,7 +128,7 @@ noise has no limit, because very large white noise is due to a wrong unit, not t
 
 @dataclass(frozen=True)
 class Windows:
-    """Mean, variance and largest absolute deviation of k windows: ``values``, (3, axes, k)."""
+    """Mean, variance and largest deviation from the mean of k windows: ``values``, (3, axes, k)."""
 
     values: Floats
 
@@ -138,7 +138,10 @@ class Windows:
 
     @classmethod
     def of(cls, rows: Floats, size: int) -> Windows:
-        """Compute the statistics of the complete windows of ``size`` samples; rows is (axes, n)."""
+        """Compute the statistics of windows of ``size`` samples of ``rows``, (axes, n).
+
+        Samples after the last complete window are ignored.
+        """
         cube = rows[:, : rows.shape[1] // size * size].reshape(len(rows), -1, size)
         mean = np.add.reduce(cube, axis=2) / size
         from_mean = np.subtract(cube, mean[:, :, None], out=aligned(cube.shape))
@@ -161,8 +164,8 @@ def idle_share(rows: Floats, size: int) -> Floats:
     repeat the previous sample.
     """
     number = rows.shape[1] // size
-    first, *other_axes = rows[:, : number * size]
-    is_repeated, is_zero = first[1:] == first[:-1], first == 0.0
+    first_axis, *other_axes = rows[:, : number * size]
+    is_repeated, is_zero = first_axis[1:] == first_axis[:-1], first_axis == 0.0
     for values in other_axes:
         # the common case: no sample is idle
         if not (np.count_nonzero(is_repeated) or np.count_nonzero(is_zero)):
@@ -176,21 +179,21 @@ def idle_share(rows: Floats, size: int) -> Floats:
 def is_stuck(rows: Floats, size: int) -> Flags:
     """Return in which windows of ``size`` samples an axis repeats one value, (axes, k).
 
-    ``rows`` are the samples, (axes, n). The axis may change for less than 1 - `STUCK_SHARE` of the
-    window, as at the beginning and the end of a fault.
+    ``rows`` are the samples, (axes, n). The axis must repeat the value for at least `STUCK_SHARE`
+    of the window, and may change in the rest, for example when a fault begins or ends.
     """
-    cube = rows[:, : rows.shape[1] // size * size].reshape(len(rows), -1, size)
+    windows = rows[:, : rows.shape[1] // size * size].reshape(len(rows), -1, size)
     index = np.arange(size)
-    changed = np.ones(cube.shape, bool)
-    changed[:, :, 1:] = cube[:, :, 1:] != cube[:, :, :-1]
-    run_lengths = index - np.maximum.accumulate(np.where(changed, index, 0), axis=2) + 1
+    has_changed = np.ones(windows.shape, bool)
+    has_changed[:, :, 1:] = windows[:, :, 1:] != windows[:, :, :-1]
+    run_lengths = index - np.maximum.accumulate(np.where(has_changed, index, 0), axis=2) + 1
     return np.asarray(run_lengths.max(axis=2, initial=0) >= STUCK_SHARE * size)
 
 
 def von_neumann_ratio(parts: Iterable[Floats]) -> Floats:
     """Return the von Neumann ratio per axis, (axes,): 1 for white noise, near 0 for slow motion.
 
-    It is half the mean square of the differences between neighboring samples, divided by the
+    The ratio is half the mean square of the differences between neighboring samples, divided by the
     variance. Each part, (axes, n), is a sequence of samples without a gap. The ratio is NaN if the
     samples are constant. Source: J. von Neumann, Annals of Mathematical Statistics 12 (1941), 367.
     """
@@ -204,7 +207,7 @@ def von_neumann_ratio(parts: Iterable[Floats]) -> Floats:
 class WindowClass(NamedTuple):
     """Classification of k windows: arrays of flags, (k,) each."""
 
-    moving: Flags  # in motion, or not at rest because of a stuck axis, less noise or foreign data
+    moving: Flags  # not at rest: in motion, stuck, with less noise, or foreign
     quiet: Flags  # below the limits at which a motion ends
     stuck: Flags  # an axis repeats one value
     decreased: Flags  # the noise of an axis is much smaller than the noise floor
@@ -234,7 +237,7 @@ class NoiseFloor:
     """
 
     size: int
-    gyro: Flags  # whether the axis is one of the gyro
+    gyro: Flags  # whether the axis belongs to the gyro
     settings: SegmenterSettings
     variance: Floats  # variance in a window at rest, in the squared unit
     step: Floats  # standard deviation of the step between the means of neighboring windows
@@ -257,18 +260,30 @@ class NoiseFloor:
         least a quarter of the windows.
         """
         parts = [rows for rows in parts if rows.shape[1] > 1]
-        zero = np.zeros(len(gyro))
+        zeros = np.zeros(len(gyro))
         if not parts:
             no_windows = Windows(np.zeros((3, len(gyro), 0)))
-            no_ratio = zero + np.nan
+            unknown_ratio = zeros + np.nan
             return cls(
-                size, gyro, settings, zero, zero, zero, zero, no_ratio, zero, no_windows, zero
+                size,
+                gyro,
+                settings,
+                zeros,
+                zeros,
+                zeros,
+                zeros,
+                unknown_ratio,
+                zeros,
+                no_windows,
+                zeros,
             )
         part_windows = [Windows.of(rows, min(size, rows.shape[1])) for rows in parts]
         windows = Windows.joined(part_windows)
-        step = np.concatenate([np.abs(np.diff(each.mean, axis=1)) for each in part_windows], axis=1)
-        change = np.concatenate([np.abs(np.diff(rows, axis=1)) for rows in parts], axis=1)
-        lsb = np.where(change > 0.0, change, np.inf).min(axis=1)
+        mean_steps = np.concatenate(
+            [np.abs(np.diff(each.mean, axis=1)) for each in part_windows], axis=1
+        )
+        sample_steps = np.concatenate([np.abs(np.diff(rows, axis=1)) for rows in parts], axis=1)
+        lsb = np.where(sample_steps > 0.0, sample_steps, np.inf).min(axis=1)
         lsb = np.where(np.isfinite(lsb), lsb, 0.0)
         stuck_windows = np.concatenate(
             [is_stuck(rows, min(size, rows.shape[1])) for rows in parts], axis=1
@@ -283,13 +298,13 @@ class NoiseFloor:
             gyro,
             settings,
             np.concatenate([_quantile(each.variance, QUANTILE) for each in axis_windows]),
-            MAD_TO_SIGMA * _quantile(step, 0.5) if step.size else zero,
+            MAD_TO_SIGMA * _quantile(mean_steps, 0.5) if mean_steps.size else zeros,
             np.concatenate([_quantile(each.mean, 0.5) for each in axis_windows]),
             lsb,
             von_neumann_ratio(parts),
             clipped_shares(np.concatenate(parts, axis=1)),
             windows,
-            zero,
+            zeros,
         )
 
     @property
@@ -298,11 +313,11 @@ class NoiseFloor:
         return np.asarray(self.outliers >= max(LEAST_HEAVY, HEAVY_SHARE * self.examined))
 
     def with_outliers(self, rows: Floats) -> NoiseFloor:
-        """Return a noise floor that also counts the outliers in k windows, (axes, k * size)."""
+        """Return this noise floor with the further outliers in k windows, (axes, k * size)."""
         if not rows.size:
             return self
-        cube = rows.reshape(len(rows), -1, self.size)
-        deviation = np.abs(cube - _quantile(cube, 0.5)[:, :, None]).reshape(len(rows), -1)
+        windows = rows.reshape(len(rows), -1, self.size)
+        deviation = np.abs(windows - _quantile(windows, 0.5)[:, :, None]).reshape(len(rows), -1)
         # plus half the resolution, because the deviations are rounded
         limit = OUTLIER_MADS * (_quantile(deviation, 0.5) + 0.5 * self.lsb)
         outliers = np.count_nonzero(deviation > limit[:, None], axis=1)
@@ -320,7 +335,10 @@ class NoiseFloor:
         return np.where(self.gyro, self.settings.rate_limit, np.inf)
 
     def changed_unit(self, ratio: Floats) -> str:
-        """Return the unit to which the gyro changed, from the ratio of noise, (axes,), or ''."""
+        """Return the unit to which the gyro changed, or '' if its unit did not change.
+
+        ``ratio``, (axes,), is the ratio of the noise now to the noise before.
+        """
         return changed_gyro_unit(ratio[self.gyro], ratio[~self.gyro])
 
     def is_plausible(self) -> bool:
@@ -337,7 +355,7 @@ class NoiseFloor:
         return self.limits_of(self.size)
 
     def limits_of(self, size: int) -> Limits:
-        """Return the limits of windows of another number of samples."""
+        """Return the limits of windows of any number of samples."""
         # added to the limits: infinite for an axis without noise
         allowance = np.where(self.scale > 0.0, 0.0, np.inf)
         # the variance of few samples is uncertain, so short windows are classified by their peak
@@ -354,8 +372,8 @@ class NoiseFloor:
     def rest(self, block: Windows) -> Flags:
         """Return in which windows the noise agrees with this noise floor, (k,)."""
         scale = self.scale[:, None]
-        higher = (block.variance > self.settings.motion_ratio**2 * scale) & (scale > 0.0)
-        return ~np.asarray((self.decreased(block) | higher).any(axis=0))
+        has_more_noise = (block.variance > self.settings.motion_ratio**2 * scale) & (scale > 0.0)
+        return ~np.asarray((self.decreased(block) | has_more_noise).any(axis=0))
 
     def decreased(self, block: Windows) -> Flags:
         """Return in which windows an axis has much less noise than this floor, (axes, k).
@@ -369,23 +387,23 @@ class NoiseFloor:
     @cached_property
     def gravity(self) -> float:
         """Magnitude of the mean specific force; NaN without the three axes of an accelerometer."""
-        complete = np.count_nonzero(~self.gyro) == 3
-        return float(np.linalg.norm(self.mean[~self.gyro])) if complete else np.nan
+        has_three_axes = np.count_nonzero(~self.gyro) == 3
+        return float(np.linalg.norm(self.mean[~self.gyro])) if has_three_axes else np.nan
 
     def foreign(self, rows: Floats, windows: Windows, size: int) -> Flags:
         """Return which windows are not measurements in the units of this noise floor, (k,).
 
-        In such a window, the magnitude of gravity differs, or samples of a sensor are zero or
-        repeated. ``rows``, (axes, k * size), are the samples of windows of ``size`` samples.
+        In such a window, gravity has another magnitude than in the noise floor, or samples of a
+        sensor are zero or repeated. ``rows``, (axes, k * size), are the samples of the windows.
         """
-        foreign = np.zeros(windows.mean.shape[1], bool)
+        is_foreign = np.zeros(windows.mean.shape[1], bool)
         for axes in self._known_sensors:
-            foreign |= idle_share(rows[axes], size) >= IDLE_SHARE
+            is_foreign |= idle_share(rows[axes], size) >= IDLE_SHARE
         if np.isfinite(gravity := self.gravity):
             magnitude = np.sqrt((windows.mean[~self.gyro] ** 2).sum(axis=0))
             largest_change = SAME_GRAVITY * np.maximum(magnitude, gravity)
-            foreign |= np.abs(magnitude - gravity) > np.maximum(GRAVITY_CHANGE, largest_change)
-        return np.asarray(foreign)
+            is_foreign |= np.abs(magnitude - gravity) > np.maximum(GRAVITY_CHANGE, largest_change)
+        return np.asarray(is_foreign)
 
     @cached_property
     def _known_sensors(self) -> list[slice]:
@@ -411,7 +429,7 @@ class NoiseFloor:
         return np.asarray((self.clipped == 0.0) & (clipped_shares(rows) >= CLIPPED_SHARE))
 
     def has_clipping(self, rows: Floats) -> bool:
-        """Return whether the same axes are clipped in samples, (axes, n), as at this floor."""
+        """Return whether the same axes as at this floor are clipped in samples, (axes, n)."""
         clipping_ended = extreme_shares(rows) < UNCLIPPED * self.clipped
         return not (self.newly_clipped(rows) | clipping_ended).any()
 
@@ -426,35 +444,40 @@ class NoiseFloor:
         return self.distance(windows) < other.distance(windows)
 
     def distance(self, windows: Windows) -> float:
-        """Return the mean of abs(log(median variance of the windows / variance of this floor))."""
+        """Return the mean of abs(log(median variance of the windows / variance of this floor)).
+
+        The mean is over the axes.
+        """
         with np.errstate(invalid='ignore', divide='ignore'):
             log_ratio = np.log(_quantile(windows.variance, 0.5) / self.scale)
         log_ratio = log_ratio[np.isfinite(log_ratio)]
         return float(np.abs(log_ratio).mean()) if len(log_ratio) else 0.0
 
     def revived(self, rows: Floats) -> Flags:
-        """Return which axes were constant when the floor was learned and have noise now, (axes,).
+        """Return which axes, (axes,), were constant when the floor was learned, but have noise now.
 
-        ``rows``, (axes, n), are the samples of a block.
+        ``rows``, (axes, n), are the samples now.
         """
-        constant = self.variance == 0.0
-        if constant.any():
-            constant[constant] = is_stuck(rows[constant], self.size).mean(axis=1) < 0.5
-        return np.asarray(constant)
+        is_revived = self.variance == 0.0
+        if is_revived.any():
+            is_revived[is_revived] = is_stuck(rows[is_revived], self.size).mean(axis=1) < 0.5
+        return np.asarray(is_revived)
 
     def shows_motion(self, former: NoiseFloor, axes: Flags) -> bool:
         """Return whether the sensor moved when the noise floor ``former`` was learned.
 
-        This noise floor is from later data. ``axes``, (axes,), flags the axes with less noise in
-        these data. The sensor moved if the former noise was not stationary, had low frequencies, or
-        was very large, or if the mean rate or the direction of gravity changed. A fault of a few
-        axes, a setting of the sensor, a fan or another unit also changes the noise, without motion.
+        This noise floor was learned later. ``axes``, (axes,), flags the axes whose noise is smaller
+        than before. The sensor moved if the former noise was not stationary, had low frequencies,
+        or was very large, or if the mean rate or the direction of gravity changed. Without motion,
+        a fault of a few axes, a setting of the sensor, a fan or another unit changes the noise.
         """
         axes = axes & (self.variance > former.lsb**2)
         if np.count_nonzero(axes) < MOVING_AXES:
             return False
-        before, now = (np.linalg.norm(each.mean[~self.gyro]) for each in (former, self))
-        if abs(before - now) > SAME_GRAVITY * max(before, now):
+        gravity_before, gravity_now = (
+            np.linalg.norm(each.mean[~self.gyro]) for each in (former, self)
+        )
+        if abs(gravity_before - gravity_now) > SAME_GRAVITY * max(gravity_before, gravity_now):
             return False
         with np.errstate(invalid='ignore', divide='ignore'):
             ratio = np.sqrt(former.variance / self.variance)
@@ -462,19 +485,19 @@ class NoiseFloor:
             return False
         if np.count_nonzero(axes & (ratio > SHAKEN_RATIO)) >= MOVING_AXES:
             return True
-        at_rest = former.rest(former.windows)
-        windows = Windows(former.windows.values[:, :, at_rest])
-        are_few = np.count_nonzero(at_rest) < QUANTILE * len(at_rest)
-        return not (are_few or self._is_at_rest(windows, former.ratio, axes))
+        is_at_rest = former.rest(former.windows)
+        windows = Windows(former.windows.values[:, :, is_at_rest])
+        has_few_at_rest = np.count_nonzero(is_at_rest) < QUANTILE * len(is_at_rest)
+        return not (has_few_at_rest or self._is_at_rest(windows, former.ratio, axes))
 
     def updated(self, block: Windows, still: Flags, steady: bool) -> NoiseFloor:
         """Return the noise floor updated by a block of k windows.
 
         ``still``, (k,), flags windows at rest. If at least half of the windows are at rest, the
-        noise and the mean are updated from them. If fewer are at rest, but the block is ``steady``,
-        only the mean is updated, because the bias of the gyro changed suddenly, or was learned
-        during a rotation. A block is steady if all windows are at rest, or would be at rest if the
-        gyro had another bias.
+        noise and the mean are updated from these windows. A block is ``steady`` if all windows are
+        at rest, or would be at rest if the gyro had another bias. If fewer windows are at rest in a
+        steady block, only the mean is updated, because the bias of the gyro changed suddenly, or
+        was learned during a rotation.
         """
         if np.count_nonzero(still) >= len(still) // 2:
             windows_at_rest = block if still.all() else Windows(block.values[:, :, still])
@@ -486,35 +509,35 @@ class NoiseFloor:
     def increase(self, rows: Floats, block: Windows) -> Floats | None:
         """Return the ratio of the noise of a block at rest to the noise floor, (axes,).
 
-        ``rows``, (axes, n), are the samples of the block, and ``block`` their windows. Returns None
-        if the noise has not increased, or if the sensor moves.
+        ``rows``, (axes, n), are the samples of the block, and ``block`` are the statistics of its
+        windows. Returns None if no noise has increased, or if the sensor moves.
         """
         scale = self.scale
         with np.errstate(invalid='ignore', divide='ignore'):
             ratio = np.sqrt(_quantile(block.variance, 0.5) / scale)
         ratio[scale == 0.0] = 1.0
-        increased = ratio > INCREASE_RATIO
-        if not increased.any() or not np.isfinite(ratio).all():
+        has_increased = ratio > INCREASE_RATIO
+        if not has_increased.any() or not np.isfinite(ratio).all():
             return None
-        return ratio if self._is_at_rest(block, von_neumann_ratio([rows]), increased) else None
+        return ratio if self._is_at_rest(block, von_neumann_ratio([rows]), has_increased) else None
 
     def _is_at_rest(self, block: Windows, spectrum: Floats, increased: Flags) -> bool:
         """Return whether the sensor is at rest although the noise of some axes increased.
 
-        ``block`` are the windows, ``spectrum``, (axes,), is the von Neumann ratio of their samples,
-        and ``increased``, (axes,), flags the axes. The sensor is at rest if the noise is stationary
+        ``spectrum``, (axes,), is the von Neumann ratio of the samples of ``block``, and
+        ``increased``, (axes,), flags these axes. The sensor is at rest if the noise is stationary
         and has a spectrum as broad as the noise floor or white noise, and if neither the mean rate
         nor the direction of gravity changes.
         """
-        level, scale = _quantile(block.variance, 0.5), self.scale
-        is_near_median = block.variance <= INCREASE_SPREAD * level[:, None]
-        is_near_median &= INCREASE_SPREAD * block.variance >= level[:, None]
+        median_variance, scale = _quantile(block.variance, 0.5), self.scale
+        is_near_median = block.variance <= INCREASE_SPREAD * median_variance[:, None]
+        is_near_median &= INCREASE_SPREAD * block.variance >= median_variance[:, None]
         if (is_near_median[increased].mean(axis=1) < 0.9).any():
             return False
         smallest_ratio = INCREASE_SPECTRUM * np.fmin(self.ratio, 1.0)
         if (spectrum[increased] < smallest_ratio[increased]).any():
             return False
-        sigma = np.sqrt(np.maximum(level, scale))
+        sigma = np.sqrt(np.maximum(median_variance, scale))
         white_step = np.sqrt(2.0 / self.size) * sigma
         steps = np.abs(np.diff(block.mean, axis=1))
         largest_step = COLORED_STEP * np.maximum(white_step, self.step)
@@ -523,10 +546,10 @@ class NoiseFloor:
         change = np.abs(_quantile(block.mean, 0.5) - self.mean)
         gravity = float(np.linalg.norm(self.mean[~self.gyro]))
         with np.errstate(invalid='ignore', divide='ignore'):
-            unit = self.changed_unit(np.sqrt(level / scale))
+            unit = self.changed_unit(np.sqrt(median_variance / scale))
         rates = np.inf if unit else self.rate_limit
-        allowed = np.where(self.gyro, rates, SAME_DIRECTION * gravity) + white_step
-        return not bool((change > allowed).any())
+        largest_change = np.where(self.gyro, rates, SAME_DIRECTION * gravity) + white_step
+        return not bool((change > largest_change).any())
 
     def classify(
         self, rows: Floats, windows: Windows, previous_mean: Floats | None, size: int
@@ -545,29 +568,31 @@ class NoiseFloor:
         is_rotating = np.abs(windows.mean - self.mean[:, None]) > limits.rate
         no_flags = np.zeros(windows.mean.shape[1], bool)
         has_less_noise = np.asarray(self.decreased(windows) & (size >= LEAST_WINDOW))
-        foreign = no_flags if size < LEAST_WINDOW else self.foreign(rows, windows, size)
-        if not ((is_noisy | is_shaken | is_rotating | has_less_noise).any() or foreign.any()):
+        is_foreign = no_flags if size < LEAST_WINDOW else self.foreign(rows, windows, size)
+        if not ((is_noisy | is_shaken | is_rotating | has_less_noise).any() or is_foreign.any()):
             return WindowClass(
                 no_flags, ~no_flags, no_flags, no_flags, no_flags, no_flags
-            )  # the common case: an IMU at rest
-        decreased, stuck = np.asarray(has_less_noise.any(axis=0)), no_flags
-        if decreased.any():
-            stuck = np.asarray((has_less_noise & is_stuck(rows, size)).any(axis=0))
-        moving = ((windows.variance > limits.variance) | is_shaken | is_rotating).any(
+            )  # the common case: all windows are at rest
+        is_decreased, has_stuck_axis = np.asarray(has_less_noise.any(axis=0)), no_flags
+        if is_decreased.any():
+            has_stuck_axis = np.asarray((has_less_noise & is_stuck(rows, size)).any(axis=0))
+        is_moving = ((windows.variance > limits.variance) | is_shaken | is_rotating).any(
             axis=0
-        ) | decreased
-        moving |= foreign
-        disturbed = (is_noisy | is_shaken).any(axis=0) | decreased | foreign
-        only_rotating = is_rotating.any(axis=0) & ~disturbed
-        quiet = ~(moving | disturbed)
-        return WindowClass(moving, quiet, stuck, decreased, foreign, only_rotating)
+        ) | is_decreased
+        is_moving |= is_foreign
+        is_disturbed = (is_noisy | is_shaken).any(axis=0) | is_decreased | is_foreign
+        is_only_rotating = is_rotating.any(axis=0) & ~is_disturbed
+        is_quiet = ~(is_moving | is_disturbed)
+        return WindowClass(
+            is_moving, is_quiet, has_stuck_axis, is_decreased, is_foreign, is_only_rotating
+        )
 
 
 @lru_cache
 def _complete_sensors(gyro: tuple[bool, ...]) -> list[slice]:
     """Return the axes of each sensor with three axes; ``gyro`` flags the axes of the gyro."""
-    firsts = [i for i, flag in enumerate(gyro) if not i or flag != gyro[i - 1]]
-    return [slice(i, i + 3) for i in firsts if gyro.count(gyro[i]) == 3]
+    first_axes = [i for i, is_gyro in enumerate(gyro) if not i or is_gyro != gyro[i - 1]]
+    return [slice(i, i + 3) for i in first_axes if gyro.count(gyro[i]) == 3]
 
 
 def _quantile(values: Floats, share: float) -> Floats:

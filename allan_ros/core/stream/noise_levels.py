@@ -26,7 +26,7 @@ Change = Literal['noise_decreased', 'noise_increased']
 """How the noise of a level differs from the noise of the previous level."""
 
 Excluded = Literal['moving', 'stuck', 'noise_decreased', 'noise_increased']
-"""A field of `Counts` for samples that are not in the result."""
+"""Field of `Counts` that counts the samples of a noise level whose sums are not the result."""
 
 
 class NoiseRatios:
@@ -63,10 +63,10 @@ class StreamSums(NamedTuple):
 
 
 class NoiseLevel:
-    """The samples at rest at one noise level: their sums, segments and counts.
+    """Sums, segments and counts of the samples at rest at one noise level.
 
-    ``floor`` is the noise floor, None before it is known. ``counts`` are the numbers of samples
-    that were used, moving, stuck or had decreased noise since the level began, and of shocks.
+    ``floor`` is the noise floor, None before it is known. ``counts`` are the numbers of used and
+    excluded samples, and of shocks, since the level began.
     """
 
     def __init__(
@@ -81,7 +81,7 @@ class NoiseLevel:
         self._replaced = RunningStretches(len(axes))
         self._axes, self._clipping = axes, Clipping(len(axes))
         self._segments: Longest[Segment] = Longest(LISTED_SEGMENTS)
-        self._start_ns, self._cut = 0, ''  # of the present segment
+        self._start_ns, self._cut = 0, ''  # first stamp of the present segment, split before it
 
     @property
     def samples(self) -> int:
@@ -106,7 +106,7 @@ class NoiseLevel:
         return StreamSums(sums, self._segments.items)
 
     def add(self, block: ImuBatch) -> None:
-        """Add samples at rest, which directly follow the previous ones if ``block.cut`` is ''."""
+        """Add samples at rest, which directly follow the previous samples if ``cut`` is ''."""
         if block.cut:
             self.close()
         if not len(block):
@@ -128,24 +128,24 @@ class NoiseLevel:
         """End the present segment."""
         samples = self._engine.open_samples
         if samples:
-            length = (self.last_ns - self._start_ns) * 1e-9
-            self._segments.add(samples, Segment(self._start_ns, samples, length, self._cut))
+            duration_s = (self.last_ns - self._start_ns) * 1e-9
+            self._segments.add(samples, Segment(self._start_ns, samples, duration_s, self._cut))
             self._engine.end_segment()
             self._replaced.add(None)
 
     def counted_as(self, excluded: Excluded) -> Counts:
-        """Return the counts if the sums of this level are excluded for this reason."""
+        """Return the counts of this level if its sums are excluded for the given reason."""
         counts = replace(
             self.counts, used=0, shocks=0, replaced=0, splits=self.counts.splits.copy()
         )
-        if excluded in ('moving', 'stuck'):  # the noise decreased because a motion ended
+        if excluded in ('moving', 'stuck'):  # what seemed less noise was the end of a motion
             counts.moving, counts.noise_decreased = counts.moving + counts.noise_decreased, 0
         setattr(counts, excluded, getattr(counts, excluded) + self.counts.used)
         return counts
 
 
 class NoiseLevels:
-    """The present noise level of a stream, and another one to which the noise may return.
+    """The present noise level of a stream, and the other level to which the noise may return.
 
     ``start`` returns a new level without samples. ``is_tried`` tells whether the present level is
     only tried, so that the sums of the other level are the result. ``change`` tells how the noise
@@ -158,8 +158,9 @@ class NoiseLevels:
         self.other: NoiseLevel | None = None
         self.is_tried = False
         self.change: Change = 'noise_increased'
-        self._began_ns = 0  # when the present level began to be tried
-        self._other_is: Excluded = 'moving'  # how its samples are counted if it is not published
+        self._began_ns = 0  # stamp at which the noise changed, if the present level is tried
+        # how the samples of the other level are counted if its sums are not the result
+        self._other_is: Excluded = 'moving'
         self._dropped = Counts()  # counts of the levels that were discarded
         self._drops = 0  # number of levels that were discarded after they were the result
         # stamp of the first sample of the first level; None until another level begins
@@ -173,7 +174,7 @@ class NoiseLevels:
 
     @property
     def counts(self) -> Counts:
-        """Counts of the samples of all levels, by what became of them."""
+        """Counts of the used and excluded samples of all levels."""
         counts = replace(self._dropped, splits=self._dropped.splits.copy())
         if self.is_tried and self.other is not None:
             counts.add(self.other.counts)
@@ -188,16 +189,18 @@ class NoiseLevels:
     def lost(self) -> int:
         """How often the result was replaced, because the IMU had moved or its noise changed."""
         other, present = self.other, self.present
-        later = other is not None and not self.is_tried and other.first_ns < present.first_ns
-        return self._drops + later
+        has_earlier_other = (
+            other is not None and not self.is_tried and other.first_ns < present.first_ns
+        )
+        return self._drops + has_earlier_other
 
     @property
     def lost_s(self) -> float:
         """Time in s from the first sample at rest to the first sample of the result."""
         if not self.lost:
             return 0.0
-        until = self.published.first_ns if self.published.samples else self._last_ns
-        return (until - (self._first_ns or 0)) * 1e-9
+        end_ns = self.published.first_ns if self.published.samples else self._last_ns
+        return (end_ns - (self._first_ns or 0)) * 1e-9
 
     @property
     def lasts_longer(self) -> bool:
@@ -229,7 +232,8 @@ class NoiseLevels:
     def resume(self) -> int | None:
         """Continue the other level.
 
-        Returns when, in ns, the present level began if it was only tried, else None.
+        Returns the stamp in ns at which the noise changed, if the present level was only tried;
+        else None.
         """
         assert self.other is not None
         self.present.close()
