@@ -78,13 +78,13 @@ def open_recordings(
 
 def topics_of(path: str | os.PathLike[str]) -> list[str]:
     """Return the Imu topics of a bag; the list is empty for other formats and unreadable files."""
-    place = Path(path)
+    bag_path = Path(path)
     try:
-        if format_of(place) != 'bag':
+        if format_of(bag_path) != 'bag':
             return []
         from .rosbag2 import imu_topics
 
-        return imu_topics(place)
+        return imu_topics(bag_path)
     except AllanError:
         return []
 

@@ -61,7 +61,7 @@ MAX_FRAME_ARRAY_BYTES = 4 * MAX_NAME
 """Largest size of a frame_id in bytes; numpy stores four bytes for each character."""
 
 MAX_HEADER_BYTES = 1 << 16
-"""Number of bytes at the start of an array file in which its header must end."""
+"""Largest accepted size of the header of a numpy file in bytes."""
 
 _LIBRARY_ERRORS = (
     *(zipfile.BadZipFile, zlib.error, struct.error, ValueError, KeyError, EOFError, OSError),
@@ -89,8 +89,8 @@ def open_array(path: Path, options: ReadOptions) -> Recording:
         with translated(path, _LIBRARY_ERRORS, REMEDY):
             yield from in_batches(unread_batch.pop() if unread_batch else _load(path, options)[0])
 
-    zipped = first_bytes(path).startswith(ZIP_MAGIC)
-    info = SourceInfo(str(path), SAMPLES if zipped else '', 'array', 'npz' if zipped else 'npy')
+    is_zip = first_bytes(path).startswith(ZIP_MAGIC)
+    info = SourceInfo(str(path), SAMPLES if is_zip else '', 'array', 'npz' if is_zip else 'npy')
     read_options = options.with_units(layout.units)
     return Recording(
         *(info, len(batch), read),
@@ -164,10 +164,10 @@ def _arrays(path: Path) -> dict[str, NDArray[Any]]:
 
 
 def array_in(path: Path, name: str) -> NDArray[Any]:
-    """Return the array with a name in a ``.npz`` file, which may contain numbers or strings.
+    """Return the array ``name`` of numbers or strings in a ``.npz`` file, in any shape.
 
-    The result is an empty array, (0,), if the file has no array with this name.
-    Raises AllanError when the file cannot be read.
+    The result is an empty array, (0,), if the file has no such array. Raises AllanError when the
+    file cannot be read.
     """
     with (
         translated(path, _LIBRARY_ERRORS, REMEDY),
@@ -182,17 +182,17 @@ def array_in(path: Path, name: str) -> NDArray[Any]:
 
 
 def _array(file: IO[bytes], where: str, kinds: str, limit: int) -> NDArray[Any]:
-    """Return the array in a file of numpy format.
+    """Return the array in an open file in numpy format.
 
-    ``where`` names the array in messages. ``kinds`` are the permitted kinds of the dtype of the
-    array, such as 'fi'. ``limit`` is the largest permitted size of the array in bytes.
+    ``where`` is the name of the array in messages. ``kinds`` are the permitted kinds of the dtype
+    of the array, such as 'fi'. ``limit`` is the largest permitted size of the array in bytes.
     """
     head = BytesIO(file.read(MAX_HEADER_BYTES))
     version = npy.read_magic(head)
     if version not in ((1, 0), (2, 0)):
         raise AllanError(f'{where} has numpy format {version}: save plain numbers with numpy.save')
     read_header = npy.read_array_header_1_0 if version == (1, 0) else npy.read_array_header_2_0
-    shape, fortran, dtype = read_header(head)
+    shape, is_fortran_order, dtype = read_header(head)
     if dtype.kind not in kinds:
         wanted_type = 'a string' if kinds == 'U' else 'float64 or int64'
         raise AllanError(f'{where} is of type {dtype}: save it as {wanted_type}')
@@ -203,13 +203,13 @@ def _array(file: IO[bytes], where: str, kinds: str, limit: int) -> NDArray[Any]:
     data = file.read(size_bytes)
     if len(data) != size_bytes:
         raise AllanError(f'{where} ends early: the file is truncated; copy it again')
-    return np.ndarray(shape, dtype, data, order='F' if fortran else 'C')
+    return np.ndarray(shape, dtype, data, order='F' if is_fortran_order else 'C')
 
 
 # --- samples in memory --------------------------------------------------------------------------
 
 NAME = 'array'
-"""Name that results state instead of a path if the samples come from memory."""
+"""Name of samples from memory, which results state in place of a path."""
 
 DEFAULT_AXES = {1: AXES[:1], 3: AXES[:3], 6: AXES}
 """Number of columns of an array in memory -> default names of the axes."""
@@ -360,7 +360,9 @@ def _batch(
     """
     layout.check(where, names, stamps is not None or bool(options.rate_hz))
     with np.errstate(all='ignore'):  # a damaged file may contain any value
-        values = {at: _numbers(columns[i])[:, 0] * scale for at, (i, scale) in layout.axes.items()}
+        values = {
+            axis: _numbers(columns[i])[:, 0] * scale for axis, (i, scale) in layout.axes.items()
+        }
     n = len(next(iter(values.values())))
     if any(len(column) != n for column in values.values()):
         raise AllanError('the columns have different lengths: give one row per sample')
@@ -373,7 +375,7 @@ def _batch(
         if first_rows.dtype.kind not in 'Mm' and len(layout.stamp) == 1:
             times = _numbers(first_rows)[:, 0]
             layout = layout.with_time_unit(where, times, options.stamp_unit)
-        time_parts = [_nanoseconds(where, columns[at], size) for at, size in layout.stamp]
+        time_parts = [_nanoseconds(where, columns[i], scale) for i, scale in layout.stamp]
         stamps = np.asarray(np.sum(time_parts, axis=0), np.int64)
     elif stamps is None:
         stamps = even_stamps(0, n, options.rate_hz)

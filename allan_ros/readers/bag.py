@@ -42,8 +42,8 @@ from .recording import (
 )
 
 _FORMATS = {b'\x89MCAP0\r\n': 'mcap', b'SQLite format 3\0': 'sqlite3', b'#ROSBAG': 'ros1'}
-"""First bytes of a bag file -> format. The modules `mcap` and `sqlite3` read the formats of the
-same names."""
+"""First bytes of a bag file -> format of the file. The modules `mcap` and `sqlite3` read the
+formats with these names."""
 
 SPLITS = ('.db3', '.mcap', '.db3.zstd', '.mcap.zstd', '.db3.lz4', '.mcap.lz4')
 """Suffixes of the files in the folder of a bag."""
@@ -73,8 +73,7 @@ Described = dict[tuple[str, str], Stated]
 class Bag:
     """The files of one bag in the order of recording, and its topics according to metadata.yaml.
 
-    ``described`` is None without metadata.yaml. Only one file is open at a time, until another file
-    is needed.
+    ``described`` is None without metadata.yaml. At most one file is open at a time.
     """
 
     def __init__(self, path: Path, files: tuple[Path, ...], described: Described | None) -> None:
@@ -88,7 +87,7 @@ class Bag:
         weakref.finalize(self, self._stack.close)
 
     def storage(self, file: Path) -> Storage:
-        """Open one of the files for reading; a compressed file is decompressed temporarily.
+        """Return one of the files, opened for reading; a compressed file is decompressed for this.
 
         Raises AllanError when the file is missing, damaged, or not a bag.
         """
@@ -175,10 +174,12 @@ def _read_metadata(path: Path) -> tuple[tuple[Path, ...], Described]:
     with translated(path / METADATA, errors, remedy):
         # the limit is larger than the metadata of a bag with 50,000 files
         text = read_bounded(path / METADATA, MAX_BYTES).decode()
-        info: dict[str, Any] = parse_yaml(text)['rosbag2_bagfile_information']
+        information: dict[str, Any] = parse_yaml(text)['rosbag2_bagfile_information']
         # in older bags, the file names include the folder
-        files = [path / PurePosixPath(name).name for name in info.get('relative_file_paths') or []]
-        for entry in info.get('topics_with_message_count') or []:
+        files = [
+            path / PurePosixPath(name).name for name in information.get('relative_file_paths') or []
+        ]
+        for entry in information.get('topics_with_message_count') or []:
             topic, count = entry['topic_metadata'], entry['message_count']
             names = [topic['name'], topic['type'], topic['serialization_format']]
             if not all(isinstance(name, str) and name.isprintable() for name in names):

@@ -267,7 +267,7 @@ def _distinct(names: NDArray[np.void]) -> tuple[list[bytes], NDArray[np.intp]]:
     if (flat[size:] == flat[: len(flat) - size]).all():
         return [flat[:size].tobytes()], np.zeros(len(names), np.intp)
     distinct, indices = np.unique(flat.reshape(-1, size), axis=0, return_inverse=True)
-    # reshaped because numpy 2.0 returns a column
+    # reshaped, because the indices are a column in numpy 2.0
     return [name.tobytes() for name in distinct], indices.reshape(-1)
 
 
@@ -340,7 +340,8 @@ class CovariancePatch:
     variances : mapping of str to (float, float, float)
         'gyro' or 'accel' -> variances of the x, y and z axis in (rad/s)^2 or (m/s^2)^2.
     overwrite : bool
-        Whether covariances are changed that are not all zeros, because the driver has set them.
+        Whether covariances that the driver has set are changed, too. Such covariances are not all
+        zeros.
     frame_id : str
         Only messages with this frame_id are changed; '' for all messages.
     """

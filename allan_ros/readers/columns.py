@@ -30,7 +30,7 @@ from .unit_names import (
 )
 
 LEFT_OUT = '-'
-"""Name of a column that is not used."""
+"""Name that the user gives to a column to exclude it."""
 
 EXAMPLE_COLUMNS = 't,gx,gy,gz,ax,ay,az'
 
@@ -50,7 +50,7 @@ def _suffixes(spellings: Mapping[str, Sequence[str]]) -> str:
     In the name and in the spellings, all characters but letters and digits are replaced by _.
     """
     plain_spellings = {
-        re.sub('[^a-z0-9]+', '_', each) for names in spellings.values() for each in names
+        re.sub('[^a-z0-9]+', '_', spelling) for names in spellings.values() for spelling in names
     }
     return '|'.join(sorted(plain_spellings))
 
@@ -87,8 +87,7 @@ unit, and the unit if the name states none. The first expression that matches a 
 _ONLY_AXIS = re.compile('(?:^|_)([xyz])$')
 
 _STAMPS = (('sec', 'nanosec'), ('stamp',), ('time',), ('elapsed',), ('counter',), ('sec',))
-"""Kinds of columns that are added up to the stamp. The first entry whose kinds are all present is
-used."""
+"""Kinds of columns whose sum is the stamp. The first entry whose kinds are all present is used."""
 
 _SPELLINGS = {
     **dict.fromkeys(SENSORS, SAMPLE_SPELLINGS),
@@ -107,7 +106,7 @@ class Meaning(NamedTuple):
     kind: str  # a kind of `_KINDS`; '' if unknown
     axis: str = ''  # 'x', 'y' or 'z' for a column of a sensor
     unit: str = ''  # '' if the name states no unit
-    unknown: str = ''  # text at the place of a unit that is not a unit of this kind
+    unknown: str = ''  # text in place of a unit, if it is not a known unit for this kind
     is_si: bool = False  # whether columns with this name are always in SI
 
 
@@ -121,8 +120,8 @@ class ColumnLayout:
     temperature: tuple[int, str] | None  # column of the temperature, unit ('' if not stated)
     units: dict[str, str]  # sensor -> unit of its columns
     assumed: dict[str, str]  # sensor -> name of a column for which SI is assumed
-    time_unit: str = ''  # unit of the stamps if it is doubtful, because increments determine it
-    unclear_time: str = ''  # text at the place of a unit in the time column that is not a unit
+    time_unit: str = ''  # unit of the stamps, if it is doubtful because increments determine it
+    unclear_time: str = ''  # text in place of a unit in the name of the time column, if unknown
     unrecognized: tuple[str, ...] = ()  # names of columns without a known meaning
 
     @property
@@ -136,9 +135,9 @@ class ColumnLayout:
         Parameters
         ----------
         where : object
-            Name of the table in messages.
+            Name of the table, for messages.
         names : sequence of str
-            Names of the columns in messages.
+            Names of the columns, for messages.
         with_times : bool
             Whether the times are known without a column.
         """
@@ -167,7 +166,7 @@ class ColumnLayout:
         where : object
             Name of the table in messages.
         times : (n,) array
-            The first stamps.
+            The first stamps, in the unit to be determined.
         stated : str
             The unit in the options; '' if the options state no unit.
 
@@ -202,32 +201,32 @@ class ColumnLayout:
 
 
 EPOCH_S = (9.4e8, 4.2e9)
-"""Range of stamps in s that are taken as times since 1970: the years 1999 to 2103."""
+"""Range of stamps in s that are recognized as times since 1970: the years 1999 to 2103."""
 
 SHORTEST_NS, LONGEST_NS = 1e4, 1e12
 """Range of sample periods in ns that are plausible for an IMU."""
 
 FASTEST_MS = 0.3
-"""Increment of times from which the unit could be ms instead of s. An increment of 0.3 ms means a
-sample rate of about 3 kHz, and a smaller increment would mean an implausible rate."""
+"""Smallest increment of times for which the unit could be ms instead of s. An increment of 0.3 ms
+is a sample rate of about 3 kHz, and a smaller increment would be an implausible rate."""
 
 ENOUGH = 100
-"""Smallest number of times for which an implausible unit is reported. A shorter table is not a
-measurement."""
+"""An implausible unit of time is reported only for tables with at least this number of rows.
+Shorter tables are not measurements."""
 
 LONGEST_STEP = {'s': 2.0, 'ms': 300.0, 'us': 3e5}
-"""Unit -> increment in this unit from which the next smaller unit is more plausible. IMUs have
-sample rates of 3 Hz to 3 kHz."""
+"""Unit of time -> smallest increment, in this unit, for which the next smaller unit is more
+plausible. IMUs have sample rates of 3 Hz to 3 kHz."""
 
 
 def _step(times: NDArray[np.float64]) -> float:
-    """Return the median of the positive increments of the times; 0 if there is none."""
+    """Return the median of the positive increments of times; 0 if no increment is positive."""
     steps = np.diff(times)
     return float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
 
 
 def _unit_by_size(times: NDArray[np.float64]) -> str:
-    """Return the unit in which the stamps are times since 1970; '' if there is no such unit."""
+    """Return the unit in which stamps, (n,), are times since 1970; '' if there is no such unit."""
     for unit in RECOGNIZED_UNITS:
         unit_ns = STAMP_UNITS[unit]
         is_epoch = EPOCH_S[0] <= times[0] * unit_ns * 1e-9 <= EPOCH_S[1]
@@ -278,24 +277,24 @@ def columns_of(where: object, names: Iterable[str], options: ReadOptions) -> Col
                     f'choose the columns of one IMU with --columns, such as gx={name},gy=NAME,...'
                 )
             axis_names[axis] = name
-            stated = unit or getattr(options, f'{kind}_unit')
-            if unknown and not stated:
+            stated_unit = unit or getattr(options, f'{kind}_unit')
+            if unknown and not stated_unit:
                 raise AllanError(
                     f'{where}: the unit of column {name!r} is unknown: state it with --{kind}-unit '
                     f'({", ".join(SAMPLE_UNITS[kind])})'
                 )
-            if not stated and not is_si:
+            if not stated_unit and not is_si:
                 assumed.setdefault(kind, name)
-            stated = stated or SAMPLE_SI[kind]
-            units.setdefault(kind, stated)
-            axes[axis] = column, UNITS[stated].factor / getattr(options, f'{kind}_counts')
+            stated_unit = stated_unit or SAMPLE_SI[kind]
+            units.setdefault(kind, stated_unit)
+            axes[axis] = column, UNITS[stated_unit].factor / getattr(options, f'{kind}_counts')
         elif kind == 'temperature':
             if temperature is None and not unknown:
                 temperature = column, unit
         elif kind:
             not_units.setdefault(kind, unknown)
-            stated = unit or options.stamp_unit or ('s' if kind == 'record' else '')
-            times.setdefault(kind, (column, STAMP_UNITS.get(stated, NO_UNIT)))
+            stated_unit = unit or options.stamp_unit or ('s' if kind == 'record' else '')
+            times.setdefault(kind, (column, STAMP_UNITS.get(stated_unit, NO_UNIT)))
         elif name.strip() != LEFT_OUT:
             unrecognized.append(name.strip())
     if not_units.get('record'):
@@ -303,15 +302,17 @@ def columns_of(where: object, names: Iterable[str], options: ReadOptions) -> Col
             f'{where}: the unit {not_units["record"]!r} of the record times is unknown: use one of '
             f'{", ".join(STAMP_UNITS)}'
         )
-    stamp: tuple[str, ...] = next((kinds for kinds in _STAMPS if times.keys() >= set(kinds)), ())
+    stamp_kinds: tuple[str, ...] = next(
+        (kinds for kinds in _STAMPS if times.keys() >= set(kinds)), ()
+    )
     return ColumnLayout(
-        {AXES.index(axis): found for axis, found in axes.items()},
-        tuple(times[kind] for kind in stamp),
+        {AXES.index(axis): column_and_factor for axis, column_and_factor in axes.items()},
+        tuple(times[kind] for kind in stamp_kinds),
         (times['record'],) if 'record' in times else (),
         temperature,
         units,
         assumed,
-        unclear_time=not_units[stamp[0]] if stamp else '',
+        unclear_time=not_units[stamp_kinds[0]] if stamp_kinds else '',
         unrecognized=tuple(unrecognized),
     )
 
@@ -362,18 +363,18 @@ def picked_names(where: object, names: tuple[str, ...], pairs: tuple[str, ...]) 
     bases = [_base_and_unit(name)[0] for name in names]
     for pair in pairs:
         new_name, _, old_name = (word.strip() for word in pair.partition('='))
-        places = [at for at, name in enumerate(names) if name == old_name]
+        positions = [i for i, name in enumerate(names) if name == old_name]
         base = _base_and_unit(old_name)[0]
-        places = places or [at for at, name in enumerate(bases) if name == base]
-        if len(places) != 1:
+        positions = positions or [i for i, name in enumerate(bases) if name == base]
+        if len(positions) != 1:
             raise AllanError(
-                f'{where}: {len(places)} columns ({listed(names)}) are named {old_name!r}: '
+                f'{where}: {len(positions)} columns ({listed(names)}) are named {old_name!r}: '
                 f'correct --columns {pair}'
             )
-        unit = _BRACKET.match(names[places[0]])
+        unit = _BRACKET.match(names[positions[0]])
         if unit and not _BRACKET.match(new_name):
             new_name = f'{new_name} [{unit[2]}]'
-        renamed[places[0]] = new_name
+        renamed[positions[0]] = new_name
     return tuple(renamed)
 
 
@@ -406,17 +407,17 @@ def _meaning(name: str) -> Meaning:
     base = re.sub(r'[^a-z0-9]+', '_', text).strip('_')
     # names in tables written by this package and in ROS messages, which are in SI
     is_si = base in AXES or 'angular_velocity' in base or 'linear_acceleration' in base
-    measured = unit_named(bracket, SAMPLE_SPELLINGS)
-    sensor = next((each for each in SENSORS if measured in SAMPLE_UNITS[each]), '')
-    matches = ((each, pattern.search(base), unit) for each, pattern, unit in _KINDS)
-    found = next(((each, match, unit) for each, match, unit in matches if match), None)
-    if found is None:
+    bracket_unit = unit_named(bracket, SAMPLE_SPELLINGS)
+    sensor = next((s for s in SENSORS if bracket_unit in SAMPLE_UNITS[s]), '')
+    matches = ((k, pattern.search(base), unit) for k, pattern, unit in _KINDS)
+    first_match = next(((k, match, unit) for k, match, unit in matches if match), None)
+    if first_match is None:
         axis = _ONLY_AXIS.search(base)
-        return Meaning(sensor, axis[1], measured) if sensor and axis else Meaning('')
-    kind, match, implied = found
+        return Meaning(sensor, axis[1], bracket_unit) if sensor and axis else Meaning('')
+    kind, match, implied_unit = first_match
     groups = match.groupdict()
     if kind not in _SPELLINGS:
-        return Meaning(kind, '', implied)
+        return Meaning(kind, '', implied_unit)
     if len(text) < 4 and kind in SENSORS and sensor:
         kind = sensor  # the unit is clearer than a single letter such as g
     spelled = bracket or groups['unit'] or groups.get('inner') or ''
@@ -425,7 +426,7 @@ def _meaning(name: str) -> Meaning:
         unit = ''  # a unit of the other sensor
     is_no_unit = kind not in (*SENSORS, 'temperature') and plain_unit(spelled) in NO_UNITS
     unknown = spelled if spelled and not unit and not is_no_unit else ''
-    return Meaning(kind, groups.get('axis') or '', unit or implied, unknown, is_si)
+    return Meaning(kind, groups.get('axis') or '', unit or implied_unit, unknown, is_si)
 
 
 def _base_and_unit(name: str) -> tuple[str, str]:

@@ -76,7 +76,8 @@ def open_regular(path: str | os.PathLike[str]) -> BinaryIO:
         raise _not_regular(path)
     flags = os.O_RDONLY | getattr(os, 'O_NONBLOCK', 0) | getattr(os, 'O_BINARY', 0)
     file = os.fdopen(os.open(path, flags), 'rb')
-    if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):  # replaced between the two checks
+    # the file may have been replaced after the first check
+    if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
         file.close()
         raise _not_regular(path)
     return file
@@ -174,7 +175,7 @@ def write_together(
         finally:
             for draft in drafts.values():
                 draft.unlink(missing_ok=True)
-        if os.name == 'posix':  # so that renames survive a power failure
+        if os.name == 'posix':  # so that the new names survive a power failure
             handle = os.open(folder, os.O_RDONLY)
             try:
                 os.fsync(handle)
@@ -200,7 +201,7 @@ def unwritable(path: Path, error: OSError) -> AllanError:
 
 
 MAX_BYTES = 16 * 2**20
-"""Largest size of a document in bytes. Documents of this package are far smaller."""
+"""Largest accepted size of a JSON document in bytes. Documents of this package are far smaller."""
 
 
 def to_json(document: Mapping[str, Any]) -> str:
@@ -253,7 +254,7 @@ def _reject_constant(name: str) -> object:
 
 
 def _integer(digits: str) -> int:
-    if len(digits) > 20:  # an integer with a million digits takes minutes to read
+    if len(digits) > 20:  # Python needs minutes to read an integer with a million digits
         raise ValueError(f'an integer of {len(digits)} digits')
     return int(digits)
 
@@ -317,7 +318,7 @@ def config_file(kind: str, name: str, called: str) -> Path:
     name : str
         Name of the file without suffix, or path of a .yaml file. A path is not checked.
     called : str
-        What messages call such a file, such as 'datasheet'.
+        Word for such a file in messages, such as 'datasheet'.
 
     Raises
     ------
@@ -329,9 +330,9 @@ def config_file(kind: str, name: str, called: str) -> Path:
         return path.expanduser()
     if path.name == name:
         for folder in config_folders(kind):
-            found = folder / f'{name.lower()}.yaml'
-            if found.is_file():
-                return found
+            file = folder / f'{name.lower()}.yaml'
+            if file.is_file():
+                return file
         equal_names = [
             known for known in config_names(kind) if _simplified(known) == _simplified(name)
         ]
@@ -362,15 +363,17 @@ names that the message lists if no name is similar."""
 
 
 def _suggestion(name: str, names: Sequence[str]) -> str:
-    word, plain = _simplified(name), {_simplified(known): known for known in names}
-    similar = [known for key, known in plain.items() if word and key.startswith(word)]
+    start = _simplified(name)
+    known_names = {_simplified(known): known for known in names}
+    similar = [known for key, known in known_names.items() if start and key.startswith(start)]
     # Other digits mean another sensor, so a similar name must contain all given digits in order.
-    words, digits = difflib.get_close_matches(word, plain, NEAREST, 0.8), re.findall(r'\d', name)
-    similar = similar or [plain[key] for key in words if re.search('.*'.join(digits), key)]
+    digits = '.*'.join(re.findall(r'\d', name))
+    close_keys = difflib.get_close_matches(start, known_names, NEAREST, 0.8)
+    similar = similar or [known_names[key] for key in close_keys if re.search(digits, key)]
     if similar:
         return f'did you mean {" or ".join(similar[:NEAREST])}'
-    more = f' (and {len(names) - LISTED_NAMES} more)' if len(names) > LISTED_NAMES else ''
-    return f'choose one of {", ".join(names[:LISTED_NAMES])}{more}'
+    rest_text = f' (and {len(names) - LISTED_NAMES} more)' if len(names) > LISTED_NAMES else ''
+    return f'choose one of {", ".join(names[:LISTED_NAMES])}{rest_text}'
 
 
 def _simplified(name: str) -> str:
@@ -389,7 +392,7 @@ class PathLock:
         self._handle: int | None = None
 
     def acquire(self) -> str:
-        """Try to acquire the lock; return '' on success, otherwise a name of its owner as text.
+        """Try to acquire the lock; return '' on success, otherwise the name of its present owner.
 
         Raises AllanError if the lock file cannot be created.
         """
@@ -404,7 +407,7 @@ class PathLock:
                 if os.path.samestat(os.fstat(handle), os.stat(self._lock_file)):
                     self._handle = handle
             if self._handle is None:
-                os.close(handle)  # another process removed the lock file before this one locked it
+                os.close(handle)  # another process removed the lock file before it was locked here
                 continue
             # on a full disk, the lock file does not contain the process number
             with contextlib.suppress(OSError):
@@ -412,7 +415,7 @@ class PathLock:
         return ''
 
     def release(self) -> None:
-        """Release the lock and remove the lock file."""
+        """Release the lock, if it was acquired, and remove the lock file."""
         handle, self._handle = self._handle, None
         if handle is not None:
             with contextlib.suppress(OSError):

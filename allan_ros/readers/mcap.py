@@ -67,8 +67,8 @@ FOOTER_BYTES = RECORD_HEAD.size + FIXED_BYTES[FOOTER] + len(MAGIC)
 """Number of bytes of the footer and the magic after it, at the end of a file."""
 
 LOOSE_BYTES = 1 << 20
-"""Number of bytes from which a sequence of messages outside chunks is not extended further, because
-each sequence is read as a whole. The next message starts another sequence."""
+"""Length in bytes from which a sequence of messages outside chunks is not extended further, because
+a sequence is read as a whole. The next message starts another sequence."""
 
 MAX_SORT_BYTES = 512 * 2**20
 """Largest size in bytes of the messages that are kept in memory to sort overlapping chunks."""

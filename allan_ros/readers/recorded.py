@@ -43,8 +43,8 @@ class Provenance:
     """The origin of Allan sums, stored with the sums in `sums.json` and `results.json`.
 
     Segments are in the order of time. Findings come from the reader and the stream. Settings are
-    plain values. ``last_stamp_ns`` is the latest stamp in the sums of a node. If simulated time
-    jumps back, the node does not count samples with earlier stamps again.
+    plain values. ``last_stamp_ns`` is the latest stamp in the sums of a node, so that samples do
+    not count twice if simulated time jumps back.
     """
 
     sources: tuple[SourceInfo, ...] = ()
@@ -78,7 +78,10 @@ class Provenance:
         return datetime.fromtimestamp(start_s, timezone.utc) if start_s >= EARLIEST_S else None
 
     def with_accel(self, accel: Provenance) -> Provenance:
-        """Return the combined provenance of two topics, with the segments of the gyro."""
+        """Return the combined provenance of a gyro topic and its accelerometer topic.
+
+        Only the segments of the gyro are kept.
+        """
         return replace(self + accel, segments=self.segments)
 
 
@@ -129,9 +132,9 @@ class RecordingSums:
         two of the header stamps lie between the first and the last sample. Otherwise, the times are
         record times.
         """
-        used = self.provenance.segments
-        begin = min((s.start_ns for s in used), default=0)
-        end = max((s.start_ns + s.duration_s * 1e9 for s in used), default=0.0)
+        segments = self.provenance.segments
+        begin = min((s.start_ns for s in segments), default=0)
+        end = max((s.start_ns + s.duration_s * 1e9 for s in segments), default=0.0)
         times, values = [np.zeros(0, np.int64)], [np.zeros(0)]
         for trace in self.temperatures:
             if trace is not None:
@@ -191,7 +194,7 @@ def read_recording(
     recording : Recording, optional
         The open recording of the job; by default ``job.open()``.
     advance : callable
-        Called with the number of samples of each batch.
+        Function that is called with the number of samples of each batch.
 
     Raises
     ------
@@ -253,7 +256,7 @@ def with_accel(
     gyro, accel : sequence of AllanSums
         The sums of both topics.
     identity : ImuIdentity
-        Identity of the IMU according to the gyro topic. The sums of the accelerometer get it, too.
+        Identity of the IMU according to the gyro topic, also for the sums of the accelerometer.
     """
     return (*gyro, *(replace(sums, identity=identity) for sums in accel))
 
@@ -275,10 +278,12 @@ def _other_topic(recording: Recording, findings: Sequence[Finding]) -> tuple[Fin
     absent = [f for f in findings if f.id in ('sensor_absent', 'sensor_all_zero')]
     if not (absent and recording.other_topics):
         return ()
-    axes, here, there = absent[0].axes, recording.info.topic, recording.other_topics[0]
+    axes, read_topic, other_topic = absent[0].axes, recording.info.topic, recording.other_topics[0]
     sensor = sensor_of(axes[0])
-    gyro, accel = (there, here) if sensor == 'gyro' else (here, there)
-    return (finding('sensor_elsewhere', axes, sensor=sensor, other=there, gyro=gyro, accel=accel),)
+    gyro, accel = (other_topic, read_topic) if sensor == 'gyro' else (read_topic, other_topic)
+    return (
+        finding('sensor_elsewhere', axes, sensor=sensor, other=other_topic, gyro=gyro, accel=accel),
+    )
 
 
 def _no_data(job: ReadJob, topic: str, counts: Counts, findings: Sequence[Finding]) -> AllanError:
@@ -398,11 +403,11 @@ def _interrupts_blocked() -> Iterator[None]:
     if not hasattr(signal, 'pthread_sigmask'):  # not on Windows
         yield
         return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    previous_mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
     finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        signal.pthread_sigmask(signal.SIG_SETMASK, previous_mask)
 
 
 def add_recordings(recordings: Iterable[RecordingSums]) -> RecordingSums:
@@ -421,7 +426,8 @@ def _with_both_sensors(recordings: Sequence[RecordingSums]) -> Sequence[Recordin
     """
     sensors = [{sensor_of(axis) for s in r.sums for axis in s.axes} for r in recordings]
     gyros, accels = (
-        [r for r, present in zip(recordings, sensors) if present == {sensor}] for sensor in SENSORS
+        [r for r, recorded_sensors in zip(recordings, sensors) if recorded_sensors == {sensor}]
+        for sensor in SENSORS
     )
     pairs = list(zip(gyros, accels))
     if len(gyros) != len(accels) or len(gyros) + len(accels) < len(recordings):
@@ -431,11 +437,11 @@ def _with_both_sensors(recordings: Sequence[RecordingSums]) -> Sequence[Recordin
     return [_joined(gyro, accel) for gyro, accel in pairs]
 
 
-def _overlap(one: RecordingSums, other: RecordingSums) -> bool:
+def _overlap(first: RecordingSums, second: RecordingSums) -> bool:
     """Return whether two recordings overlap for more than `MIN_OVERLAP` of the longer recording."""
     ranges = []
-    for each in (one, other):
-        times = [(s.start_ns * 1e-9, s.duration_s) for s in each.provenance.segments]
+    for recorded in (first, second):
+        times = [(s.start_ns * 1e-9, s.duration_s) for s in recorded.provenance.segments]
         begin = min((start for start, _ in times), default=0.0)
         ranges.append((begin, max((start + length for start, length in times), default=begin)))
     (a, b), (c, d) = ranges
@@ -443,7 +449,7 @@ def _overlap(one: RecordingSums, other: RecordingSums) -> bool:
 
 
 MIN_OVERLAP = 0.5
-"""Two recordings are taken as made at the same time if they overlap for more than this share of the
+"""Two recordings count as made at the same time if they overlap for more than this share of the
 duration of the longer recording."""
 
 

@@ -37,11 +37,12 @@ overhead for each batch is negligible."""
 METADATA = 'metadata.yaml'
 
 MAX_CHUNK_BYTES = 128 * 2**20
-"""Largest size in bytes of a chunk or record, compressed or not. Recorders write about 1 MB."""
+"""Largest accepted size of a chunk or record of a file in bytes, compressed or not. Recorders write
+chunks of about 1 MB."""
 
 MAX_FILE_RATIO = 250
-"""Largest permitted ratio of the decompressed size of a file to its compressed size. A further
-`MAX_CHUNK_BYTES` are permitted in addition."""
+"""Largest permitted ratio of the decompressed size of a file to its compressed size. The
+decompressed size may exceed this ratio by `MAX_CHUNK_BYTES`."""
 
 Report = Callable[[Finding], None]
 """Function that a reader calls with each finding."""
@@ -109,8 +110,8 @@ class ReadOptions(CheckedSettings):
     def with_units(self, found: Mapping[str, str] = {}) -> ReadOptions:
         """Return the options with a unit for each sensor.
 
-        The unit is taken from ``found`` (sensor -> unit), otherwise from the options. If neither
-        contains a unit, it is SI.
+        ``found`` (sensor -> unit) takes precedence over the unit in the options. If neither states
+        a unit, the unit is SI.
         """
         gyro = found.get('gyro') or self.gyro_unit or SAMPLE_SI['gyro']
         accel = found.get('accel') or self.accel_unit or SAMPLE_SI['accel']
@@ -132,7 +133,7 @@ class SourceInfo:
 
 
 def in_batches(whole: ImuBatch) -> Iterator[ImuBatch]:
-    """Yield views of the samples, in batches of at most `BATCH` samples."""
+    """Yield the samples in batches of at most `BATCH` samples, which are views of ``whole``."""
     for first in range(0, len(whole), BATCH):
         yield whole[first : first + BATCH]
 
@@ -181,21 +182,21 @@ class Recording:
         self.options = self.options.with_units()
 
     def batches(self) -> Iterator[ImuBatch]:
-        """Yield the samples in order, in batches of about `BATCH` with one frame_id each.
+        """Yield the samples in order, in batches of about `BATCH` samples with one frame_id each.
 
         Raises AllanError when a part of the recording cannot be read.
         """
-        found: list[Finding] = []
-        for batch in self.read(found.append):
-            self.findings = tuple(found)
+        findings: list[Finding] = []
+        for batch in self.read(findings.append):
+            self.findings = tuple(findings)
             yield batch
-        self.findings = tuple(found)
+        self.findings = tuple(findings)
 
     @property
     def sensor(self) -> str:
         """The only sensor that the recording can contain, 'gyro' or 'accel'; '' for both."""
-        first, *others = dict.fromkeys(map(sensor_of, self.axes))
-        return '' if others else first
+        first_sensor, *other_sensors = dict.fromkeys(map(sensor_of, self.axes))
+        return '' if other_sensors else first_sensor
 
 
 # --- errors and limits ---------------------------------------------------------------------------
@@ -219,7 +220,7 @@ def damaged(path: Path, reason: object, remedy: str) -> AllanError:
 
 @contextmanager
 def translated(path: Path, errors: tuple[type[Exception], ...], remedy: str) -> Iterator[None]:
-    """Convert exceptions of the types ``errors`` in a with block to the AllanError of `damaged`."""
+    """Convert exceptions of the types ``errors`` in a with block to AllanErrors (see `damaged`)."""
     try:
         yield
     except AllanError:

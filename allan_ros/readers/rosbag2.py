@@ -249,7 +249,7 @@ class _Reader:
     topic: Topic
     options: ReadOptions
     thermometers: list[Topic]
-    # for each Temperature topic, record time in ns and payload of a part of the messages
+    # for each Temperature topic: record time in ns and payload of some of the messages
     _temperatures: list[Decimated[tuple[int, bytes]]] = field(default_factory=list)
     # sensor -> number of messages that wrongly declare the sensor absent
     _wrongly_absent: Counter[str] = field(default_factory=Counter)
@@ -292,7 +292,7 @@ class _Reader:
             yield block if len(rows) == len(block) else block.chosen(rows)
 
     def _decoded(self, file: Path, blocks: Iterable[Messages]) -> Iterator[ImuBatch]:
-        done = 0  # number of messages of this file that were decoded before the present block
+        done = 0  # number of messages in earlier blocks of this file
         for block in blocks:
             try:
                 imus = decode_imus(_decompressed(block.payloads), _encoding(self.topic))

@@ -61,15 +61,15 @@ class SerialRule:
         Raises AllanError if there is no serial number, if it has more than `MAX_NAME` characters,
         or if the file cannot be read.
         """
-        place = Path(path)
+        file_path = Path(path)
         if self._kind == 'name':
-            match = self._pattern.search(place.name)
-            found = match[1] if match and match.re.groups else match[0] if match else None
+            match = self._pattern.search(file_path.name)
+            stated_serial = match[1] if match and match.re.groups else match[0] if match else None
         elif self._kind == 'metadata':
-            found = _custom_data(place).get(self._what)
+            stated_serial = _custom_data(file_path).get(self._what)
         else:
-            found = _first_value(place, self._what)
-        serial = one_line(str(found)).strip() if found is not None else ''
+            stated_serial = _first_value(file_path, self._what)
+        serial = one_line(str(stated_serial)).strip() if stated_serial is not None else ''
         if len(serial) > MAX_NAME:
             raise AllanError(
                 f'{path}: the serial number {serial!r:.40} has more than {MAX_NAME} characters; '
@@ -87,32 +87,32 @@ class SerialRule:
         return serial
 
 
-def _custom_data(place: Path) -> Mapping[str, Any]:
+def _custom_data(path: Path) -> Mapping[str, Any]:
     """Return the custom data in the metadata of a rosbag2; empty if the metadata contain none.
 
     Raises AllanError if there is no metadata.yaml.
     """
-    folder = place if place.is_dir() else place.parent
+    folder = path if path.is_dir() else path.parent
     file = folder / METADATA
     if not file.is_file():
-        raise AllanError(f'{place}: no {METADATA}: a serial from metadata needs a rosbag2 folder')
+        raise AllanError(f'{path}: no {METADATA}: a serial from metadata needs a rosbag2 folder')
     document = read_yaml(file)
     information = document.get('rosbag2_bagfile_information') if isinstance(document, dict) else {}
     data = information.get('custom_data') if isinstance(information, dict) else {}
     return data if isinstance(data, dict) else {}
 
 
-def _first_value(place: Path, name: str) -> object:
-    """Return the first value in the column or array with a name; None if there is no value."""
-    if place.suffix.lower() == '.npz':
+def _first_value(path: Path, name: str) -> object:
+    """Return the first value in the column or array ``name``; None if there is no value."""
+    if path.suffix.lower() == '.npz':
         from .arrays import array_in
 
-        values_of_array = array_in(place, name).reshape(-1)
+        values_of_array = array_in(path, name).reshape(-1)
         return values_of_array[0] if len(values_of_array) else None
-    if place.suffix.lower() not in ('.csv', '.tsv'):
-        raise AllanError(f'{place}: a serial from a column needs a table or an .npz file')
+    if path.suffix.lower() not in ('.csv', '.tsv'):
+        raise AllanError(f'{path}: a serial from a column needs a table or an .npz file')
     remedy = 'check the path and the table'
-    with translated(place, (OSError,), remedy), open_regular(place) as file:
+    with translated(path, (OSError,), remedy), open_regular(path) as file:
         lines: list[str] = []
         while len(lines) < 2 and (line := file.readline(LONGEST_LINE)):
             text = line.decode('utf-8-sig', 'replace').strip()
@@ -120,7 +120,7 @@ def _first_value(place: Path, name: str) -> object:
     if len(lines) < 2:
         return None
     delimiter = max(',;\t', key=lines[0].count)
-    with translated(place, (csv.Error,), remedy):
+    with translated(path, (csv.Error,), remedy):
         names, values = (next(csv.reader([line], delimiter=delimiter)) for line in lines)
-    first_row = dict(zip((each.strip() for each in names), values))
+    first_row = dict(zip((column.strip() for column in names), values))
     return first_row.get(name)

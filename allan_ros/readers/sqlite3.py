@@ -35,7 +35,7 @@ class Sqlite3Storage:
     """An open .db3 file; error messages name it ``path``."""
 
     def __init__(self, path: Path, connection: sqlite3.Connection, size: int | None) -> None:
-        """Use a connection to a database file of ``size`` bytes.
+        """Read the topics through an open ``connection`` to a database file of ``size`` bytes.
 
         ``size`` is None if a write-ahead log contains a part of the database.
         """
@@ -60,8 +60,8 @@ class Sqlite3Storage:
             )
         rows = self._query('SELECT id, name, type, serialization_format FROM topics ORDER BY id')
         return [
-            Topic(number, name, normal_type(kind), encoding)
-            for number, name, kind, encoding in rows
+            Topic(number, name, normal_type(type_name), encoding)
+            for number, name, type_name, encoding in rows
         ]
 
     def counts(self) -> dict[int, int]:
@@ -83,7 +83,7 @@ class Sqlite3Storage:
 
     def blocks(self, ids: set[int]) -> Iterator[Messages]:
         """Yield all messages of the topics ``ids`` in blocks, in the order of record time."""
-        # topic ids are selected only for several topics, because this takes a tenth more time
+        # topic ids are read only if there are several topics: reading them takes a tenth more time
         columns = 'timestamp, data' + ', topic_id' * (len(ids) > 1)
         with translated(self._path, _LIBRARY_ERRORS, REMEDY):
             rows = self._query(
@@ -95,15 +95,15 @@ class Sqlite3Storage:
                 payloads: list[bytes | memoryview] = []
                 topics: list[int] = []
                 while batch:
-                    more_times, more_payloads, *of_topics = zip(*batch)
+                    more_times, more_payloads, *more_topics = zip(*batch)
                     times += more_times
                     payloads += more_payloads
-                    topics += of_topics[0] if of_topics else ()
+                    topics += more_topics[0] if more_topics else ()
                     batch = rows.fetchmany(FETCHED_ROWS) if len(times) < BLOCK_ROWS else []
                 if set(map(type, payloads)) != {bytes}:
                     raise ValueError('a message is not a BLOB')
-                numbers = np.array(topics or [*ids] * len(times))
-                yield Messages(numbers, np.array(times, np.int64), payloads)
+                topic_ids = np.array(topics or [*ids] * len(times))
+                yield Messages(topic_ids, np.array(times, np.int64), payloads)
 
     def _query(self, sql: str) -> sqlite3.Cursor:
         return self._connection.execute(sql)

@@ -55,17 +55,17 @@ MAX_LINE = 1 << 20
 """Largest number of characters in a line of a table."""
 
 QUOTED = re.compile('"[^"]*"')
-"""A quoted part of a line."""
+"""Regular expression for a quoted part of a line."""
 
 DATE = re.compile(r'\s*\d{4}-\d\d-\d\d[T ]\d\d:\d\d')
-"""Start of a date with a time (ISO 8601)."""
+"""Regular expression for the start of a date with a time (ISO 8601)."""
 
 WHOLE_DATE = re.compile(
     r'\s*(?P<minute>\d{4}-\d\d-\d\d[T ]\d\d:\d\d)'
     r'(?::(?P<second>\d\d)(?:\.(?P<part>\d*))?)?'
     r'\s*(?:Z|UTC|GMT|(?P<sign>[+-])(?P<hours>\d\d):?(?P<minutes>\d\d)?)?\s*'
 )
-"""A date with a time (ISO 8601), with or without a time zone."""
+"""Regular expression for a date with a time (ISO 8601), with or without a time zone."""
 
 TOPIC_NAMES = ('sec', 'nanosec', LEFT_OUT, *[LEFT_OUT] * 13, 'angular_velocity_x')
 TOPIC_NAMES += ('angular_velocity_y', 'angular_velocity_z', *[LEFT_OUT] * 9)
@@ -97,7 +97,7 @@ class _Table:
     header_line: int  # number of the line with the names; 0 without a header
     columns: ColumnLayout
     rate_hz: float  # sample rate if there are no stamps
-    # stamp in ns and temperature in degC of a part of the rows
+    # stamp in ns, and temperature in degC, of some of the rows
     _temperatures: Decimated[tuple[int, float]] = field(default_factory=Decimated)
 
     def read(self, report: Report) -> Iterator[ImuBatch]:
@@ -174,7 +174,7 @@ def _layout(path: Path, file: TextIO, options: ReadOptions) -> _Table:
         raise AllanError(f'{path}: is UTF-16 or not text: save the table as UTF-8')
     delimiter = next((mark for mark in '\t;,' if mark in QUOTED.sub('', line)), '')
     further_lines = (
-        each for each in lines if not each.startswith(COMMENT_MARK) and not each.isspace()
+        other for other in lines if not other.startswith(COMMENT_MARK) and not other.isspace()
     )
     rows = _split(chain([line], further_lines), delimiter)
     try:
@@ -224,7 +224,7 @@ def _names(
     comment_cells : list of str
         Cells of the last comment before the first row.
     number : int
-        Number, in the file, of the last line of the first row; a quoted cell may contain line
+        Number of the line in the file in which the first row ends; a quoted cell may contain line
         breaks.
     columns : tuple of str
         Names of the columns according to the options.
@@ -312,8 +312,8 @@ class _Lines:
     """Iterates over the lines of a table after its header, without comments and empty lines.
 
     ``number`` is the number of the last line that was read; the first line has the number 1.
-    ``frame_id`` is taken from the last comment that contains a frame_id. ``complete`` states
-    whether the last line that was read has a line end.
+    ``frame_id`` is taken from the last comment that contains a frame_id. ``complete`` is whether
+    the last line that was read has a line end.
     """
 
     def __init__(self, table: _Table, file: TextIO) -> None:
@@ -359,8 +359,8 @@ class _Rows:
             if scale != 1.0:
                 samples[:, axis] *= scale
         stamps, record = (
-            sum((self._nanoseconds(*part) for part in parts), np.zeros(n, np.int64))
-            for parts in (layout.stamp, layout.record)
+            sum((self._nanoseconds(*entry) for entry in entries), np.zeros(n, np.int64))
+            for entries in (layout.stamp, layout.record)
         )
         if not layout.stamp:
             stamps = even_stamps(self.first, n, table.rate_hz)

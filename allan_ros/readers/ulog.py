@@ -76,8 +76,8 @@ def open_ulog(path: Path, options: ReadOptions) -> Recording:
             report(finding('log_dropouts', path=path, count=count, seconds=seconds))
         period_s = float(np.median(np.diff(batch.stamps_ns))) * 1e-9 if len(batch) > 1 else 0.0
         if period_s > 1.5 * integration_s > 0.0:  # the logger did not store every sample
-            rate, full = 1.0 / period_s, 1.0 / integration_s
-            report(finding('log_decimated', path=path, topic=name, rate=rate, full=full))
+            rate, full_rate = 1.0 / period_s, 1.0 / integration_s
+            report(finding('log_decimated', path=path, topic=name, rate=rate, full=full_rate))
         yield from in_batches(batch)
 
     trace = _temperature(log, data)
@@ -155,8 +155,9 @@ def _samples(name: str, data: dict[str, NDArray[Any]]) -> tuple[ImuBatch, float]
     else:
         samples[:, SENSORS['gyro']] = _vectors(data, 'gyro_rad')
         samples[:, SENSORS['accel']] = _vectors(data, 'accelerometer_m_s2')
-        relative = data.get('accelerometer_timestamp_relative', np.zeros(1))
-        absent_rows = np.flatnonzero(relative == 0x7FFFFFFF)  # marks a sample without acceleration
+        relative_stamps = data.get('accelerometer_timestamp_relative', np.zeros(1))
+        # this value marks a sample without acceleration
+        absent_rows = np.flatnonzero(relative_stamps == 0x7FFFFFFF)
         samples[absent_rows, SENSORS['accel']] = np.nan
         integration = data.get('gyro_integral_dt', np.zeros(1))
     unit = 1.0 if integration.dtype.kind == 'f' else 1e-6  # older logs state the time in s

@@ -41,7 +41,7 @@ TEMPERATURE_SPELLINGS = {
 """Unit of temperature -> its spellings, as `plain_unit` returns them."""
 
 NO_UNITS = ('', 'utc', 'gmt', 'local', 'unix', 'epoch', 'posix', 'ros', 'iso', 'iso8601')
-"""Words in brackets after the name of a time column that are not units."""
+"""Words that occur in place of a unit in the name of a time column, but are not units."""
 
 _SPELLINGS = {
     'deg': 'degrees|degree|degs|deg',
@@ -73,7 +73,7 @@ def plain_unit(text: str) -> str:
 def unit_named(text: str, spellings: Mapping[str, Sequence[str]]) -> str:
     """Return the unit that is spelled ``text``; '' if the spelling is unknown.
 
-    ``spellings`` is a table of this module, such as `TIME_SPELLINGS`.
+    ``spellings`` maps units to spellings, as in `TIME_SPELLINGS`.
     """
     plain = plain_unit(text)
     return next((unit for unit, unit_spellings in spellings.items() if plain in unit_spellings), '')

@@ -87,9 +87,9 @@ def write_recording(
 def _keep_storage_file(bag: Path) -> None:
     """Replace the folder of a bag by its storage file."""
     (file,) = (child for child in bag.iterdir() if child.name != 'metadata.yaml')
-    moved = file.rename(bag.with_name(f'{bag.name}.file'))
+    file_next_to_bag = file.rename(bag.with_name(f'{bag.name}.file'))
     shutil.rmtree(bag)
-    moved.rename(bag)
+    file_next_to_bag.rename(bag)
 
 
 @contextmanager
