@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The summary of several IMUs: ``summary.csv`` for programs and ``index.html`` for readers."""
+"""Summary of several IMUs: a CSV table for programs, and an HTML page for readers."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ from ..version import __version__
 from .table import Cell, Heading, Record, Table, csv_text, html_table
 
 SUMMARY, INDEX = 'summary.csv', 'index.html'
-"""Files of the summary, next to the folders of the IMUs."""
+"""Names of the files of the summary, which lie beside the folders of the IMUs."""
 
 SUMMARY_TERMS = ('N', 'B', 'K')
-"""Coefficients that the summary states for each axis, even if the plan has no limits for them."""
+"""Coefficients that the summary states for each axis, whether or not the plan limits them."""
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,7 @@ def _record(row: UnitRow, units: str) -> Record:
         return record
     record['hours'] = row.results.duration_s / 3600.0
     record['rate [Hz]'] = row.results.rate_hz
-    limited = {
+    limited_quantities = {
         (check.axis, check.quantity): (check.measured, row.check.plan.limits_of(check))
         for check in row.check.checks
         if row.check.plan is not None
@@ -98,25 +98,25 @@ def _record(row: UnitRow, units: str) -> Record:
         for term in SUMMARY_TERMS:
             unit = shown_unit(axis, term, units)
             no_limits = Limits(None, None, unit.name, 1.0 / unit.factor)
-            value_and_limits = limited.pop(
+            value_and_limits = limited_quantities.pop(
                 (axis, term), (result.fit.noise[term].magnitude, no_limits)
             )
             record |= _columns(f'{axis} {term}', *value_and_limits)
-        for quantity in [quantity for key, quantity in limited if key == axis]:
-            record |= _columns(f'{axis} {quantity}', *limited.pop((axis, quantity)))
-    for (axis, quantity), value_and_limits in limited.items():
+        for quantity in [quantity for key, quantity in limited_quantities if key == axis]:
+            record |= _columns(f'{axis} {quantity}', *limited_quantities.pop((axis, quantity)))
+    for (axis, quantity), value_and_limits in limited_quantities.items():
         record |= _columns(f'{axis} {quantity}'.strip(), *value_and_limits)
     return record
 
 
 def _columns(name: str, measured: Estimate, limits: Limits) -> Iterator[tuple[str, float | None]]:
-    """Yield name and number of each column of a quantity, in the unit of the limits."""
+    """Yield for each column of a quantity its name, and the number in the unit of the limits."""
     unit = f' [{limits.unit}]' if limits.unit else ''
     value = measured.value if measured.resolved else None
     low, high = (measured.resolved and measured.ci95) or (None, measured.upper95)
-    if low == high:  # the value is exact
+    if low == high:  # an exact value, for which no interval is stated
         low = high = None
-    for end, number in (
+    for suffix, number in (
         ('', value),
         (' low95', low),
         (' high95', high),
@@ -125,7 +125,7 @@ def _columns(name: str, measured: Estimate, limits: Limits) -> Iterator[tuple[st
     ):
         is_finite = number is not None and math.isfinite(number)
         yield (
-            f'{name}{end}{unit}',
+            f'{name}{suffix}{unit}',
             number / limits.scale if is_finite and number is not None else None,
         )
 
@@ -133,7 +133,7 @@ def _columns(name: str, measured: Estimate, limits: Limits) -> Iterator[tuple[st
 # --- the page -------------------------------------------------------------------------------------
 
 WIDTH, HEIGHT = 110, 44
-"""Size of the drawing of a sensor in pixels."""
+"""Width and height in pixels of the small drawing with the curves of a sensor."""
 
 COLORS = ('#c0504d', '#4f9a57', '#4f72c0')
 """Colors of the axes x, y and z."""
@@ -184,15 +184,15 @@ CLASSES = {
     'failed': 'failed',
     'error': 'error',
 }
-"""Word of a verdict -> class in the style sheet."""
+"""Word of a verdict -> CSS class of its table cell."""
 
 
 def index_html(rows: Sequence[UnitRow], plan: str = '') -> str:
-    """Return a page with a sortable table of the IMUs, small curves, and links to the reports.
+    """Return an HTML page with a sortable table of the IMUs, and links to their reports.
 
-    The curves show the Allan deviation of the axes of a sensor over the averaging time, with
-    logarithmic scales that are equal for all IMUs. A band shows the limits of N. ``plan`` is the
-    name of the plan; '' without a plan.
+    Small drawings in the table show the Allan deviations of each sensor on logarithmic scales,
+    which are equal for all IMUs, and the limits of N as a band. ``plan`` is the name of the plan;
+    '' without a plan.
     """
     sensors = [s for s in SENSORS if any(_curves(row, s) for row in rows)]
     columns = [Heading('verdict'), Heading('serial'), Heading('reason'), Heading('h at rest')]
@@ -219,7 +219,7 @@ def index_html(rows: Sequence[UnitRow], plan: str = '') -> str:
         body = body.replace(placeholder, drawing)
     words = [row.word for row in rows]
     counts = ', '.join(f'{words.count(word)} {word}' for word in dict.fromkeys(words))
-    against = f' against the plan {escape(plan)}' if plan else ''
+    plan_text = f' against the plan {escape(plan)}' if plan else ''
     digest = base64.b64encode(hashlib.sha256(SCRIPT.encode()).digest()).decode()
     policy = (
         "default-src 'none'; base-uri 'none'; form-action 'none'; "
@@ -230,7 +230,7 @@ def index_html(rows: Sequence[UnitRow], plan: str = '') -> str:
         f'<meta http-equiv="Content-Security-Policy" content="{policy}">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
         f'<title>{len(rows)} units</title>\n<style>{INDEX_STYLE}</style>\n</head>\n<body>\n'
-        f'<h1>{len(rows)} units{against}: {escape(counts)}</h1>\n'
+        f'<h1>{len(rows)} units{plan_text}: {escape(counts)}</h1>\n'
         f'<div class="wide">{body}</div>\n'
         f'<p><a href="{SUMMARY}">{SUMMARY}</a> has the numbers. allan_ros {__version__}</p>\n'
         f'<script>{SCRIPT}</script>\n</body>\n</html>\n'
@@ -238,7 +238,7 @@ def index_html(rows: Sequence[UnitRow], plan: str = '') -> str:
 
 
 def _curves(row: UnitRow, sensor: str) -> dict[str, AxisCurve]:
-    """Return the measured curves of a sensor: axis -> curve."""
+    """Return the measured Allan curves of a sensor: axis -> curve."""
     if row.results is None:
         return {}
     axes = {axis: row.results.axes[axis] for axis in AXES[SENSORS[sensor]] if axis in row.results}
@@ -247,7 +247,7 @@ def _curves(row: UnitRow, sensor: str) -> dict[str, AxisCurve]:
 
 @dataclass(frozen=True)
 class _Frame:
-    """Ranges of log10 of averaging time (s) and deviation (SI) for all curves of a sensor."""
+    """Range of the drawings of a sensor: log10 of averaging times (s) and Allan deviations (SI)."""
 
     left: float
     right: float
@@ -269,13 +269,13 @@ def _frame(rows: Sequence[UnitRow], sensor: str) -> _Frame:
     if not positive.any():
         return _Frame(0.0, 1.0, 0.0, 1.0)
     x, y = np.log10(tau[positive]), np.log10(adev[positive])
-    # an IMU with a wrong unit of measurement would make the curves of all others flat
+    # the percentiles exclude an IMU with a wrong unit, which would make all other curves flat
     bottom, top = np.percentile(y, [1.0, 99.0])
     return _Frame(float(x.min()), float(x.max()), float(bottom) - 0.1, float(top) + 0.1)
 
 
 def _drawing(row: UnitRow, sensor: str, frame: _Frame) -> str:
-    """Return the curves of a sensor, and the band of the limits of N, as SVG; '' without curves."""
+    """Return an SVG of the curves of a sensor and the limits of N as a band; '' without curves."""
     curves = _curves(row, sensor)
     if not curves:
         return ''

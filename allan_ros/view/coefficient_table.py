@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Coefficients as tables for readers, and as a list for programs."""
+"""Tables of noise coefficients, for readers and for programs."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ Coefficients = Mapping[str, Mapping[str, Estimate]]
 """Axis -> term -> coefficient in SI."""
 
 WALKS = {'gyro': ('angle', 'rate'), 'accel': ('velocity', 'acceleration')}
-"""Sensor -> quantities whose random walks are N and K (IEEE Std 952 and 1293)."""
+"""Sensor -> the quantities whose random walks are called N and K (IEEE Std 952 and 1293)."""
 
 
 def coefficient_cell(coefficient: Estimate, unit: ShownUnit) -> Cell:
-    """Return a cell with the value or the limit of a coefficient, and its interval as detail."""
+    """Return a cell with the value or the limit of a coefficient, and with its interval."""
     value, *_ = known_numbers(coefficient, unit)
     text, interval = value_text(coefficient, unit), interval_text(coefficient, unit)
     return Cell(text, interval, value, coefficient.status)
@@ -31,7 +31,9 @@ def coefficient_cell(coefficient: Estimate, unit: ShownUnit) -> Cell:
 def coefficient_table(
     axes: Coefficients, units: str, terms: Sequence[str] = TERMS, prefixes: bool = False
 ) -> Table:
-    """Return coefficients of one sensor as a table: a row for each term, a column for each axis.
+    """Return a table of the coefficients of one sensor, with a row for each term.
+
+    The columns are the axes.
 
     Parameters
     ----------
@@ -40,7 +42,7 @@ def coefficient_table(
     units : 'deg/h' or 'SI'
         Units of measurement of the values.
     terms : sequence of str
-        The terms that have a row.
+        The terms that are shown.
     prefixes : bool
         Whether the unit of a row gets an SI prefix that suits the largest value of the row.
     """
@@ -52,14 +54,16 @@ def coefficient_table(
         if prefixes:
             unit = prefixed(unit, largest(coefficients))
         heading = Heading(term, unit.name, term_name(sensor, term))
-        rows.append((heading, [coefficient_cell(one, unit) for one in coefficients]))
+        rows.append(
+            (heading, [coefficient_cell(coefficient, unit) for coefficient in coefficients])
+        )
     return Table(Heading(sensor), axis_headings(axes), rows)
 
 
 def axis_table(axes: Coefficients, units: str, terms: Sequence[str] = TERMS) -> Table:
-    """Return coefficients with units as a table: a row for each axis, a column for each term.
+    """Return a table of coefficients with their units: a row for each axis, a column for each term.
 
-    The arguments are explained in `coefficient_table`; axes of both sensors are permitted.
+    ``axes`` maps the axes of one or both sensors to coefficients, and ``units`` is 'deg/h' or 'SI'.
     """
     rows = []
     for axis, noise in axes.items():
@@ -78,7 +82,7 @@ def axis_headings(axes: Mapping[str, object]) -> list[Heading]:
 
 
 def term_name(sensor: str, term: str) -> str:
-    """Return the name of a term for a sensor, such as 'angle random walk'."""
+    """Return the name of a term of 'gyro' or 'accel', such as 'angle random walk' for N."""
     angle, rate = WALKS[sensor]
     return {
         'Q': 'quantization',
@@ -90,19 +94,19 @@ def term_name(sensor: str, term: str) -> str:
 
 
 def largest(known: Sequence[Estimate]) -> float:
-    """Return the largest absolute value or limit of coefficients in SI; 0 if none is known."""
+    """Return the largest magnitude or upper limit of coefficients in SI; 0 if none is known."""
     sizes = [c.value if c.resolved else c.upper95 for c in known]
     return max((abs(s) for s in sizes if s is not None and math.isfinite(s)), default=0.0)
 
 
 NUMBERS = ('value', 'ci95_low', 'ci95_high', 'upper95')
-"""Names of the columns with the numbers of a coefficient, in the order of `known_numbers`."""
+"""Names of the columns with the numbers that `known_numbers` returns, in the same order."""
 
 
 def coefficient_list(axes: Coefficients, units: str) -> Table:
-    """Return all coefficients for programs, with one row for each axis and term.
+    """Return a table of all coefficients for programs, with a row for each axis and term.
 
-    The columns are axis, term, `NUMBERS` and unit. The cells have values, but no texts.
+    The columns are the axis, the term, `NUMBERS` and the unit. The cells have values, but no texts.
     """
     rows = []
     for axis, noise in axes.items():

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Comparisons of recordings as lines of text: tables with titles and notes."""
+"""Comparisons of recordings as lines of text, for the terminal."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from .table import WIDE, terminal_lines
 
 
 def inflation_lines(inflation: Inflation, columns: int = WIDE) -> Iterator[str]:
-    """Yield N and K with motors on, the ratios of the Allan deviations, and the export option.
+    """Yield the lines of text about the noise with motors on, compared with motors off.
 
-    The ratios compare the deviations with motors on and off. ``columns`` is the width of the text
-    in characters.
+    The lines contain N and K, the ratios of the Allan deviations, and the option for `allan
+    export`. ``columns`` is the width of the text in characters.
     """
     yield f'N and K for a filter, over {horizon_text(inflation.horizon)}'
     yield from terminal_lines(inflation_table(inflation), columns)
@@ -28,7 +28,7 @@ def inflation_lines(inflation: Inflation, columns: int = WIDE) -> Iterator[str]:
 
 
 def common_lines(common: CommonResult, units: str = 'deg/h', columns: int = WIDE) -> Iterator[str]:
-    """Yield the table of the noise that IMUs have in common, and warnings about the recordings.
+    """Yield the lines of the table of common noise, and the warnings about the recordings.
 
     ``units`` is 'deg/h' or 'SI', and ``columns`` is the width of the text in characters.
     """

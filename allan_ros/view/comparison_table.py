@@ -32,10 +32,9 @@ from .table import Cell, Heading, Table
 def limit_table(
     axes: Coefficients, comparisons: Sequence[Check], units: str, stated: Mapping[str, str]
 ) -> Table:
-    """Return a table of the coefficients of one sensor, with shares of the limits and the verdicts.
+    """Return a table of the coefficients of a sensor, with percentages of the limits and verdicts.
 
-    ``stated`` maps each term to the text of the limits of this term. A term without a limit has no
-    row.
+    ``stated`` maps each term to a text about its limits. A term without a limit has no row.
     """
 
     def share_of_limit(check: Check) -> str:
@@ -52,9 +51,9 @@ def limit_table(
 def baseline_table(
     axes: Coefficients, comparisons: Sequence[Check], units: str, before: Results
 ) -> Table:
-    """Return a table of the coefficients of one sensor, with their former values and the verdicts.
+    """Return a table of the coefficients of one sensor, with former values and verdicts.
 
-    ``before`` contains the former values.
+    ``before`` are the earlier results, which contain the former values.
     """
 
     def former_value(check: Check) -> str:
@@ -72,9 +71,10 @@ def _checks_table(
     notes: Mapping[str, str],
     detail: Callable[[Check], str],
 ) -> Table:
-    """Return a table of the coefficients that are compared; ``detail`` makes the detail of a cell.
+    """Return a table of the coefficients in ``comparisons``, with a row for each term.
 
-    ``notes`` maps terms to explanations, which replace the names of the terms in the headings.
+    ``detail`` returns the further text of a cell. ``notes`` maps a term to a text that is shown in
+    its heading instead of its name.
     """
     sensor = sensor_of(next(iter(axes)))
     rows = []
@@ -98,30 +98,32 @@ def _checks_table(
 
 
 def runs_table(comparison: RunComparison, axes: Sequence[str], units: str) -> Table:
-    """Return a table of the coefficients of several recordings for the axes of one sensor.
+    """Return a table that compares the coefficients of several recordings, for one sensor.
 
-    Each term has a row for each recording, and a row for each further recording with the ratios to
-    the first recording. Terms that no recording measures are omitted. The last rows count the
-    averaging times at which the Allan deviation differs from the deviation of the first recording.
+    Each term has a row for each recording, and rows with the ratios of the other recordings to the
+    first recording. Terms that no recording measures are omitted. The last rows state at how many
+    averaging times the Allan deviation differs from the first recording.
     """
     sensor = sensor_of(axes[0])
     rows: list[tuple[Heading, list[Cell]]] = []
     for term in TERMS:
-        coefficients = {run: _of_axes(each, axes, term) for run, each in comparison.runs.items()}
-        size = largest([c for of_axes in coefficients.values() for c in of_axes])
-        unit = prefixed(shown_unit(sensor, term, units), size)
-        cells = {
-            run: [coefficient_cell(c, unit) for c in of_axes]
-            for run, of_axes in coefficients.items()
+        coefficients = {
+            run: _coefficients_of(results, axes, term) for run, results in comparison.runs.items()
         }
-        if all(cell.text == NOTHING_KNOWN for of_axes in cells.values() for cell in of_axes):
+        largest_size = largest([c for estimates in coefficients.values() for c in estimates])
+        unit = prefixed(shown_unit(sensor, term, units), largest_size)
+        cells = {
+            run: [coefficient_cell(c, unit) for c in estimates]
+            for run, estimates in coefficients.items()
+        }
+        if all(cell.text == NOTHING_KNOWN for run_cells in cells.values() for cell in run_cells):
             continue
-        for i, (run, of_axes) in enumerate(cells.items()):
+        for i, (run, run_cells) in enumerate(cells.items()):
             heading = Heading('') if i else Heading(term, unit.name)
-            rows.append((heading, [Cell(run), *of_axes]))
+            rows.append((heading, [Cell(run), *run_cells]))
         for run, checks in comparison.differences.items():
-            checks_of_axes = {d.axis: d for d in checks if d.quantity == term}
-            axis_checks = [checks_of_axes.get(axis) for axis in axes]
+            check_of_axis = {d.axis: d for d in checks if d.quantity == term}
+            axis_checks = [check_of_axis.get(axis) for axis in axes]
             texts = [f'{ratio_text(d)} {verdict_text(d)}'.strip() if d else '' for d in axis_checks]
             rows.append((Heading(''), [Cell(f'{run} ratio'), *map(Cell, texts)]))
     for run, checks in comparison.differences.items():
@@ -131,11 +133,11 @@ def runs_table(comparison: RunComparison, axes: Sequence[str], units: str) -> Ta
             n_different = len(significant_of(tested))
             counts.append(Cell(f'{n_different} of {len(tested)} differ' if tested else ''))
         rows.append((Heading('deviation'), counts))
-    runs = Heading('', repeats=True)
-    return Table(Heading(sensor), [runs, *(Heading(axis[-1]) for axis in axes)], rows)
+    run_heading = Heading('', repeats=True)
+    return Table(Heading(sensor), [run_heading, *(Heading(axis[-1]) for axis in axes)], rows)
 
 
-def _of_axes(results: Results, axes: Sequence[str], term: str) -> list[Estimate]:
+def _coefficients_of(results: Results, axes: Sequence[str], term: str) -> list[Estimate]:
     axis_results = results.axes
     return [
         axis_results[axis].fit.noise[term] if axis in axis_results else UNKNOWN for axis in axes
@@ -143,7 +145,7 @@ def _of_axes(results: Results, axes: Sequence[str], term: str) -> list[Estimate]
 
 
 def stated_limits(texts: Mapping[str, Sequence[str]]) -> dict[str, str]:
-    """Return term -> all different limits of the term as text, such as '0.3 °/√h / 0.4 °/√h'."""
+    """Return term -> its different limits as one text, such as '0.3 °/√h / 0.4 °/√h'."""
     return {
         term: ' / '.join(dict.fromkeys(pretty_unit(text) for text in each)).replace(' ', NO_BREAK)
         for term, each in texts.items()
@@ -154,13 +156,13 @@ SHOWN_TAU_S = (0.01, 0.1, 1.0, 10.0, 100.0)
 """Averaging times in s at which a ratio or a coherence is shown."""
 
 NEAR = 1.5
-"""Largest factor between a measured averaging time and the rounded time in the heading."""
+"""Largest ratio between a measured averaging time and the rounded time in the heading above it."""
 
 
 def inflation_table(inflation: Inflation) -> Table:
-    """Return a table of N and K in SI for a state estimator with motors on: a row for each axis.
+    """Return a table of N and K with motors on, in SI, with a row for each axis.
 
-    The column after each coefficient contains the ratio to the coefficient with motors off.
+    The column after each coefficient contains its ratio to the coefficient with motors off.
     """
     rows = []
     for axis, terms in inflation.axes.items():
@@ -175,7 +177,7 @@ def inflation_table(inflation: Inflation) -> Table:
 
 
 def deviation_ratio_table(inflation: Inflation) -> Table:
-    """Return a table of the ratios of Allan deviations with motors on and off.
+    """Return a table of the ratios of the Allan deviations with motors on to those with motors off.
 
     There is a row for each axis and a column for each averaging time.
     """
@@ -190,7 +192,7 @@ def deviation_ratio_table(inflation: Inflation) -> Table:
 
 
 def _nearest(checks: Sequence[Check], tau: float) -> Check | None:
-    """Return the check with the averaging time closest to ``tau``; None if `NEAR` excludes all."""
+    """Return the check with the averaging time closest to ``tau`` (s); None if none is near."""
     candidates = [c for c in checks if c.tau is not None and tau / NEAR < c.tau < NEAR * tau]
     return min(candidates, key=lambda c: abs((c.tau or 0.0) - tau), default=None)
 
@@ -202,7 +204,7 @@ def _ratio_cell(check: Check | None) -> Cell:
 
 
 def _share_cell(value: float, low: float, high: float) -> Cell:
-    # adding 0.0 turns -0.0 into 0.0, so that no minus sign is written
+    # adding 0.0 turns -0.0 into 0.0, which is written without a minus sign
     value, low, high = (round(number, 2) + 0.0 for number in (value, low, high))
     return Cell(f'{value:.2f}', f'{low:.2f}..{high:.2f}', value)
 
@@ -212,8 +214,8 @@ def common_table(common: CommonResult, units: str = 'deg/h') -> Table:
 
     There is a row for each axis and IMU. For a single IMU, there is a row for each pair of axes.
     """
-    times = SHOWN_TAU_S[1:]
-    cells = {tau: [_coherence_cell(row, tau) for row in common.rows] for tau in times}
+    coherence_taus = SHOWN_TAU_S[1:]
+    cells = {tau: [_coherence_cell(row, tau) for row in common.rows] for tau in coherence_taus}
     shown_taus = [tau for tau, column in cells.items() if any(cell.text for cell in column)]
     has_noise = any(row.measured or row.own for row in common.rows)
     has_gains = any(row.gain != 1.0 for row in common.rows)
@@ -227,8 +229,11 @@ def common_table(common: CommonResult, units: str = 'deg/h') -> Table:
         heading = Heading(row.axis, unit.name if has_noise else '')
         rows.append((heading, [Cell(row.label), *noise, *(cells[t][i] for t in shown_taus)]))
     own_heading = 'own N' if len({row.label for row in common.rows}) > 2 else 'own N, mean of both'
-    numbers = [*(('N', own_heading) if has_noise else ()), *(('factor',) if has_gains else ())]
-    names = ['IMU', *numbers, *(f'at {t:g} s' for t in shown_taus)]
+    number_headings = [
+        *(('N', own_heading) if has_noise else ()),
+        *(('factor',) if has_gains else ()),
+    ]
+    names = ['IMU', *number_headings, *(f'at {t:g} s' for t in shown_taus)]
     return Table(
         Heading('axis'),
         [Heading(name, repeats=name == 'IMU') for name in names],
@@ -239,9 +244,9 @@ def common_table(common: CommonResult, units: str = 'deg/h') -> Table:
 
 
 def _coherence_cell(row: CommonNoise, tau: float) -> Cell:
-    times, *numbers = row.coherence
-    log_ratios = np.abs(np.log(times / tau))
+    taus, *coherence_and_limits = row.coherence
+    log_ratios = np.abs(np.log(taus / tau))
     nearest = int(np.argmin(log_ratios))
     if log_ratios[nearest] > np.log(NEAR):
         return Cell()
-    return _share_cell(*(float(number[nearest]) for number in numbers))
+    return _share_cell(*(float(number[nearest]) for number in coherence_and_limits))

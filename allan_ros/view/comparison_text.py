@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Comparisons of recordings as sentences and lines of text."""
+"""Comparisons of recordings as sentences."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ RATIO_DIGITS = 3
 
 
 def ratio_text(difference: Check) -> str:
-    """Return the ratio with its 95 % interval, or a bound on the ratio, as text; '' if unknown."""
+    """Return a ratio with its 95 % interval, or a limit of the ratio, as text; '' if unknown."""
     if difference.ratio.ci95 is None:
         return ''
     low, high = difference.ratio.ci95
@@ -30,12 +30,12 @@ def ratio_text(difference: Check) -> str:
 
 
 def verdict_text(difference: Check) -> str:
-    """Return whether the second recording is 'alike', 'higher' or 'lower', or 'not comparable'."""
+    """Return 'alike', 'higher' or 'lower' for the second of two recordings, or 'not comparable'."""
     return 'not comparable' if difference.verdict == 'undecided' else difference.verdict
 
 
 def quantity_text(difference: Check) -> str:
-    """Return the axis and the quantity as text: 'gyro x N', 'gyro x deviation at 1.0 s'."""
+    """Return axis and quantity of a comparison: 'gyro x N' or 'gyro x deviation at 1.0 s'."""
     axis = difference.axis.replace('_', ' ')
     if difference.tau is None:
         return f'{axis} {difference.quantity}'
@@ -54,7 +54,7 @@ def _sentence(comparison: RunComparison, label: str, checks: Sequence[Check]) ->
             f'and {deviations} deviations '
             f'({100.0 * comparison.family_error:g} % false alarms overall)'
         )
-    # Coefficients take precedence over deviations, and ratios with a value over bounds on a ratio.
+    # Coefficients take precedence over Allan deviations, and ratios over limits of a ratio.
     candidates = [d for d in differing if d.tau is None] or differing
     largest_ratio = max(candidates, key=lambda d: (d.ratio.value is not None, _size(d)))
     return (
@@ -86,7 +86,7 @@ def _equivalence_sentence(comparison: RunComparison, label: str, checks: Sequenc
 
 
 def _size(difference: Check) -> float:
-    """Return how far the 95 % interval of a significant ratio is from 1, as a logarithm."""
+    """Return the distance of the 95 % interval of a significant ratio from 1, as a logarithm."""
     low, high = difference.ratio.ci95 or (1.0, 1.0)
     return math.log(low) if low > 1.0 else -math.log(high)
 

@@ -25,11 +25,11 @@ FIELD = re.compile(r'\{(\w+)(?::([^{}]*))?\}')
 ``singular|plural``. The singular is used if the value is 1."""
 
 OPTIONAL = re.compile(r'\[\[(.*?)\]\]')
-"""A part of a template in double brackets, which is omitted if one of its values is missing."""
+"""A part of a template in double brackets, which is omitted if one of its fields has no value."""
 
 
 class Words(NamedTuple):
-    """The templates of one finding, and the text that explains it in the documentation."""
+    """The templates of one finding, and the explanation of the finding in the documentation."""
 
     section: str
     message: str
@@ -55,16 +55,16 @@ def _entries(text: str) -> Iterator[tuple[str, Words]]:
     for section in re.split(r'(?m)^## ', text)[1:]:
         title, *entries = re.split(r'(?m)^### ', section)
         for entry in entries:
-            id, _, rest = entry.partition('\n')
-            first, _, explanation = rest.strip().partition('\n\n')
-            lines = first.split('\n')
+            id, _, body = entry.partition('\n')
+            message_and_remedy, _, explanation = body.strip().partition('\n\n')
+            lines = message_and_remedy.split('\n')
             message = ' '.join(line for line in lines if not line.startswith('> '))
             remedy = ' '.join(line[2:] for line in lines if line.startswith('> '))
             yield id.strip(), Words(title.strip(), message, remedy, explanation.strip())
 
 
 def texts_of(finding: Finding, units: str = 'deg/h', spelled: Callable[[str], str] = str) -> Texts:
-    """Return message and remedy of a finding, with quantities in the units 'deg/h' or 'SI'.
+    """Return message and remedy of a finding; ``units`` of its quantities are 'deg/h' or 'SI'.
 
     ``spelled`` is a function that returns the spelling of a unit of measurement, such as
     `pretty_unit`.
@@ -88,8 +88,8 @@ def texts_of(finding: Finding, units: str = 'deg/h', spelled: Callable[[str], st
 
 def finding_line(finding: Finding, units: str = 'deg/h') -> str:
     """Return the axes, the message and the remedy of a finding as one line."""
-    where = f'{", ".join(finding.axes)}: ' if finding.axes else ''
-    return where + ' '.join(texts_of(finding, units))
+    axes_text = f'{", ".join(finding.axes)}: ' if finding.axes else ''
+    return axes_text + ' '.join(texts_of(finding, units))
 
 
 def finding_document(finding: Finding, units: str = 'deg/h') -> dict[str, Any]:
@@ -98,7 +98,7 @@ def finding_document(finding: Finding, units: str = 'deg/h') -> dict[str, Any]:
 
 
 def explained(error: AllanError) -> AllanError:
-    """Return an error with the texts of its findings appended to its message."""
+    """Return an error whose message also contains the texts of its findings."""
     if not error.findings:
         return error
     return AllanError(' '.join([str(error), *map(finding_line, error.findings)]))
@@ -107,14 +107,14 @@ def explained(error: AllanError) -> AllanError:
 def _filled(
     template: str, values: Mapping[str, Any], units: str, spelled: Callable[[str], str]
 ) -> str:
-    """Return a template with its values inserted."""
+    """Return the text of a template, with its values inserted."""
 
     def optional(part: re.Match[str]) -> str:
         names = [name for name, _ in FIELD.findall(part[1])]
         return '' if any(values.get(name) is None for name in names) else part[1]
 
-    def inserted(place: re.Match[str]) -> str:
-        name, spec = place[1], place[2] or ''
+    def inserted(field: re.Match[str]) -> str:
+        name, spec = field[1], field[2] or ''
         value = values[name]
         if '|' in spec:
             singular, plural = spec.split('|')
@@ -125,7 +125,7 @@ def _filled(
 
 
 def _text_of(values: Sequence[Any], spec: str, units: str, spelled: Callable[[str], str]) -> str:
-    """Return a value as text, or the range of several values."""
+    """Return one value as text, or several values as a list or a range."""
     if all(isinstance(value, Estimate) for value in values):
         return _quantities_text(values, int(spec.lstrip('QNBKRsignal') or 3), units, spelled)
     if isinstance(values[0], tuple):
@@ -159,7 +159,7 @@ def _plain_text(value: Any, spec: str) -> str:
 def _quantities_text(
     quantities: Sequence[Estimate], digits: int, units: str, spelled: Callable[[str], str]
 ) -> str:
-    """Return quantities of one kind as one text, such as '2 to 3 deg/h (1.5 to 4.1)'."""
+    """Return the range of several quantities of one kind, such as '2 to 3 deg/h (1.5 to 4.1)'."""
     values_si = [q.value for q in quantities if q.value is not None]
     intervals = [q.ci95 for q in quantities if q.ci95 is not None]
     limits = [q.upper95 for q in quantities if q.upper95 is not None]
@@ -182,9 +182,9 @@ def _quantities_text(
 
 
 MOST_VALUES, APART = 3, 1.1
-"""At most `MOST_VALUES` numbers are listed one by one, if the largest is more than `APART` times
-the smallest. Otherwise, the numbers are written as a range. A range of a few numbers that are far
-apart could be misread, for example as a band of frequencies."""
+"""Several numbers are written as a range. Up to `MOST_VALUES` numbers are listed instead if the
+largest is more than `APART` times the smallest, because a range could be misread, for example as a
+band of frequencies."""
 
 FAST_DEG_H = 36.0
-"""Angular rate in deg/h from which a signal is printed in deg/s."""
+"""Angular rates of at least this size, in deg/h, are printed in deg/s."""

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 
 SENSOR_NAMES = {'gyro': 'Gyroscope', 'accel': 'Accelerometer'}
-"""Sensor -> name in a heading."""
+"""Sensor -> name of the sensor in headings."""
 
 PRETTY = (
     ('sqrt(Hz)', '√Hz'),
@@ -36,17 +36,18 @@ PRETTY = (
     ('um/', 'µm/'),
     ('ug', 'µg'),
 )
-"""Part of a unit in plain text -> its spelling in reports and plots."""
+"""Parts of units in plain text, and their spellings in reports and plots."""
 
 NO_BREAK = '\N{NO-BREAK SPACE}'
-"""A space at which a line of HTML does not end."""
+"""A space at which a line is not broken."""
 
 READ_AT = {'Q': math.sqrt(3.0), 'N': 1.0, 'K': 3.0, 'R': math.sqrt(2.0)}
-"""Term -> averaging time in s at which its deviation equals its coefficient (IEEE Std 952)."""
+"""Term -> averaging time in s at which the Allan deviation of the term equals its coefficient in SI
+(IEEE Std 952)."""
 
 RESOLVED_HALF_WIDTHS = 2.58 / 1.96
-"""Smallest hysteresis that is stated, in half widths of its 95 % interval. It is significant at the
-two-sided 1 % level."""
+"""The hysteresis of the bias is stated if it exceeds this number of half widths of its 95 %
+interval, so that it is significant at the two-sided 1 % level."""
 
 
 def pretty_unit(name: str) -> str:
@@ -86,7 +87,7 @@ def temperature_text(models: Mapping[str, TemperatureModel], units: str) -> str:
     the bias over temperature is subtracted.
     """
     names, fits = list(models), list(models.values())
-    bias, walk = (
+    bias_unit, walk_unit = (
         prefixed(shown_unit(names[0], term, units), max(abs(size) for size in sizes))
         for term, sizes in (
             ('B', [m.b1 for m in fits]),
@@ -94,35 +95,36 @@ def temperature_text(models: Mapping[str, TemperatureModel], units: str) -> str:
         )
     )
     slopes = (
-        f'{name[-1]} {_plus_minus(m.b1, m.b1_ci95, bias)}{"" if m.resolved else " (not resolved)"}'
+        f'{name[-1]} {_plus_minus(m.b1, m.b1_ci95, bias_unit)}'
+        + ('' if m.resolved else ' (not resolved)')
         for name, m in models.items()
     )
-    text = f'{", ".join(slopes)} {bias.name} per K at {fits[0].reference:g} degC'
+    text = f'{", ".join(slopes)} {bias_unit.name} per K at {fits[0].reference:g} degC'
     shares = [100.0 * m.explained for m in fits if m.resolved and m.explained is not None]
     if shares:
         low, high = f'{min(shares):.0f}', f'{max(shares):.0f}'
         text += f', {low if low == high else f"{low} to {high}"} % of the drift'
     hystereses = [
-        f'{name[-1]} {_plus_minus(m.hysteresis, m.hysteresis_ci95, bias)}'
+        f'{name[-1]} {_plus_minus(m.hysteresis, m.hysteresis_ci95, bias_unit)}'
         for name, m in models.items()
         if abs(m.hysteresis) > RESOLVED_HALF_WIDTHS * np.ptp(m.hysteresis_ci95) / 2.0
     ]
     if hystereses:
-        text += f'; rising minus falling {", ".join(hystereses)} {bias.name}'
+        text += f'; rising minus falling {", ".join(hystereses)} {bias_unit.name}'
     corrected_walks, measured_walks = (
-        ', '.join(value_text(one, walk) for one in each)
-        for each in ([m.corrected.K for m in fits], [m.measured.K for m in fits])
+        ', '.join(value_text(walk, walk_unit) for walk in walks)
+        for walks in ([m.corrected.K for m in fits], [m.measured.K for m in fits])
     )
     return (
-        f'{text}. K of the complete recording: {measured_walks} {walk.name}, after the bias over '
-        f'temperature is subtracted: {corrected_walks}. The coefficients above exclude warm-up and '
-        'slow cycles.'
+        f'{text}. K of the complete recording: {measured_walks} {walk_unit.name}, after the bias '
+        f'over temperature is subtracted: {corrected_walks}. The coefficients above exclude '
+        'warm-up and slow cycles.'
     )
 
 
 def _plus_minus(value: float, ends: tuple[float, float], unit: ShownUnit) -> str:
-    half = (ends[1] - ends[0]) / 2.0
-    return f'{significant(value * unit.factor, 3)} ± {significant(half * unit.factor, 2)}'
+    half_width = (ends[1] - ends[0]) / 2.0
+    return f'{significant(value * unit.factor, 3)} ± {significant(half_width * unit.factor, 2)}'
 
 
 # --- figures --------------------------------------------------------------------------------------
@@ -137,24 +139,24 @@ TERM_STYLES: dict[str, tuple[str, Any]] = {
     'K': ('#D55E00', (0, (9, 2))),
     'R': ('#E69F00', (0, (3, 1.2, 1, 1.2, 1, 1.2))),
 }
-"""Term -> color and dashes of its line.
+"""Term -> color and dashes of the line of this term.
 
-The colors of Okabe and Ito ("Color universal design", 2008) can be distinguished by color-blind
-readers, the dashes without colors."""
+Color-blind readers can distinguish the colors (Okabe and Ito, "Color universal design", 2008). The
+dashes distinguish the lines in print without colors."""
 
 
 class DrawnCurve(NamedTuple):
-    """The curve and the model of one axis as they are drawn.
+    """The Allan curve and the model of one axis as they are drawn.
 
-    Each array, (factors,), has a value for each averaging time; it is NaN where nothing is drawn.
-    The deviations are in the unit that the argument ``factor`` of `drawn_curve` determines.
+    Each array, (factors,), has a value for each averaging time, and is NaN where nothing is drawn.
+    The deviations are in the unit of the drawing, which is chosen in `drawn_curve`.
     """
 
     tau: Floats  # averaging times in s
     adev: Floats
     low: Floats  # 68.3 % confidence limits
     high: Floats
-    uncertain: NDArray[np.bool_]  # whether a point is not compared with the model
+    uncertain: NDArray[np.bool_]  # whether a point is too uncertain to be compared with the model
     model: Floats
     upper: Floats  # model with unresolved terms at their upper limits
     parts: dict[str, Floats]  # name of a part of the model -> deviation of this part
@@ -169,7 +171,7 @@ class DrawnCurve(NamedTuple):
 
 
 def drawn_curve(axis: AxisResult, factor: float = 1.0) -> DrawnCurve | None:
-    """Return the curve and the model of an axis, times ``factor``; None without a curve.
+    """Return the Allan curve and the model of an axis as they are drawn; None without a curve.
 
     ``factor`` converts SI to the unit of the drawing.
     """
@@ -177,7 +179,7 @@ def drawn_curve(axis: AxisResult, factor: float = 1.0) -> DrawnCurve | None:
     if curve is None:
         return None
     positive = curve.adev[curve.adev > 0.0]
-    # parts of the model are drawn only above a fifth of the lowest point of the curve
+    # parts of the model are drawn only where they exceed a fifth of the lowest point of the curve
     floor = 0.2 * positive.min() if len(positive) else np.inf
 
     def above(values: Floats, least: float = 0.0) -> Floats:

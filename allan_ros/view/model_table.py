@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Tables of the fitted models: numbers for a state estimator, parts, and growth of the error."""
+"""Tables of the fitted models: numbers for a state estimator, parts of the model, error growth."""
 
 from __future__ import annotations
 
@@ -22,23 +22,23 @@ from .format import NO_BREAK, deviation_text, part_text
 from .table import Cell, Heading, Table
 
 Axes = Mapping[str, AxisResult]
-"""The axes of one sensor."""
+"""Axis -> results, for the axes of one sensor."""
 
 ERROR_UNITS = {
     'gyro': {'deg/h': ShownUnit('°', 180.0 / math.pi), 'SI': ShownUnit('rad', 1.0)},
     'accel': dict.fromkeys(UNIT_SYSTEMS, ShownUnit('m/s', 1.0)),
 }
-"""Sensor -> system of units -> unit of the integrated error (an angle or a velocity)."""
+"""Sensor -> 'deg/h' or 'SI' -> unit of the predicted error, which is an angle or a velocity."""
 
 PLAIN = 'plain'
-"""Status of a cell with text that is less important than a coefficient."""
+"""Status of a cell whose text is shown less prominently than a coefficient."""
 
 
 def filter_table(results: Results) -> Table:
-    """Return a table of the numbers in imu.yaml, in SI, with a row for each key.
+    """Return a table of the numbers in imu.yaml, in SI, with a row for each key of this file.
 
-    The detail of a cell states how the number was computed. Raises AllanError if a key needs an
-    axis that was not measured.
+    Each cell also states how its number was computed. Raises AllanError if a key needs an axis
+    that was not measured.
     """
     measured_rows = [row for row in target_rows(results, 'kalibr') if row.levels]
     is_raised = any(level.raised_from is not None for row in measured_rows for level in row.levels)
@@ -59,10 +59,11 @@ def filter_table(results: Results) -> Table:
 
 
 def parts_table(axes: Axes) -> Table:
-    """Return a table of what the models of a sensor contain: a column for each axis.
+    """Return a table about the models of a sensor, with a column for each axis.
 
-    The rows are the largest deviation of the curve from the model, the dominant noise, and the
-    other parts, which are not terms, or are likely terms. A row without content is omitted.
+    The rows are: the largest deviation of the curve from the model; the dominant noise in each
+    range of averaging times; and the other parts of the model, which are processes and likely
+    terms. A row without content is omitted.
     """
 
     def lines_cell(parts: list[str]) -> Cell:
@@ -97,10 +98,10 @@ def parts_table(axes: Axes) -> Table:
 
 
 def growth_table(axes: Axes, units: str) -> Table:
-    """Return a table of the predicted angle or velocity error of one sensor without corrections.
+    """Return a table of the predicted angle or velocity error of one sensor without correction.
 
     Each cell contains the standard deviation of the error with its 95 % interval. There is a row
-    for each duration and a column for each axis.
+    for each time since the last correction, and a column for each axis.
     """
     sensor = sensor_of(next(iter(axes)))
     unit = ERROR_UNITS[sensor][units]

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Results as HTML for the output of a notebook cell."""
+"""Results as HTML for a Jupyter notebook."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from .verdict_text import headline, verdict_of
 NOTEBOOK_STYLE = (
     '.allan_ros small { display: block; opacity: .7; } .allan_ros table { margin: .5em 0; }'
 )
-"""Style sheet of the output, which shows the intervals below the values."""
+"""Style sheet that places the intervals below the values."""
 
 
 def notebook_html(results: Results) -> str:

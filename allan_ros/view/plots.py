@@ -48,7 +48,7 @@ WIDTH_IN, ROW_IN, HEAD_IN = 7.16, 1.9, 0.7
 height of the title and labels together, in inches."""
 
 BAND_ALPHA, LIMIT_ALPHA = 0.2, 0.1
-"""Opacity of the bands of the 68 % limits, and of the contribution of unresolved terms."""
+"""Opacity of the band of the 68 % limits, and of the area for unresolved terms."""
 
 TAU_LABEL = 'averaging time τ [s]'
 
@@ -63,9 +63,9 @@ class _ShownFigure(Figure):
 def figure_files(
     results: Results, formats: Sequence[str], units: str = 'deg/h'
 ) -> dict[str, bytes]:
-    """Return the figures of all sensors as files: name -> content.
+    """Return the figures of all sensors: file name -> content of the file.
 
-    ``formats`` are 'png', 'svg' or 'pdf'; ``units`` is 'deg/h' or 'SI'.
+    A format is 'png', 'svg' or 'pdf', and ``units`` is 'deg/h' or 'SI'.
     """
     return {
         f'allan_{sensor}.{form}': render_figure(figure, form)
@@ -76,7 +76,7 @@ def figure_files(
 
 
 def render_figure(figure: Figure, form: str) -> bytes:
-    """Return the figure as the bytes of a 'png', 'svg' or 'pdf' file."""
+    """Return the content of an image file of the figure; ``form`` is 'png', 'svg' or 'pdf'."""
     metadata: dict[str, dict[str, Any]] = {
         'png': {'Software': 'allan_ros'},
         'svg': {'Date': None},
@@ -89,17 +89,17 @@ def render_figure(figure: Figure, form: str) -> bytes:
 
 
 def sensor_figure(results: Results, sensor: str, units: str = 'deg/h') -> Figure | None:
-    """Return the Allan deviation of one sensor with a panel for each axis; None without a curve.
+    """Return a figure of the Allan deviations of a sensor; None if no axis has a curve.
 
-    ``units`` is 'deg/h' or 'SI'.
+    The figure has a panel for each axis. ``units`` is 'deg/h' or 'SI'.
     """
     axes = {a: results.axes[a] for a in AXES[SENSORS[sensor]] if a in results.axes}
     axes = {name: axis for name, axis in axes.items() if axis.curve is not None}
     if not axes:
         return None
-    of_label = f' of {results.identity.label}' if results.identity.label else ''
+    label_text = f' of {results.identity.label}' if results.identity.label else ''
     title = (
-        f'{SENSOR_NAMES[sensor]}{of_label}: Allan deviation, {results.samples:,} samples at '
+        f'{SENSOR_NAMES[sensor]}{label_text}: Allan deviation, {results.samples:,} samples at '
         f'{results.rate_hz:.4g} Hz, {results.duration_s / 3600.0:.3g} h'
     )
     with rc_context(RC):
@@ -112,7 +112,7 @@ def sensor_figure(results: Results, sensor: str, units: str = 'deg/h') -> Figure
 
 
 def common_figure(common: CommonResult) -> Figure:
-    """Return the coherence of IMUs with 95 % limits, in a panel for each axis."""
+    """Return a figure of the coherence of IMUs with 95 % limits, with a panel for each axis."""
     names = list(dict.fromkeys(row.axis for row in common.rows))
     with rc_context(RC):
         title = 'coherence: 0 for independent, 1 for common noise'
@@ -130,7 +130,7 @@ def common_figure(common: CommonResult) -> Figure:
 
 
 def draw_axes(panel: Axes, axes: Mapping[str, AxisResult], units: str = 'deg/h') -> None:
-    """Draw the curves and models of axes. For a single axis, also draw the parts of the model."""
+    """Draw Allan curves and models of axes; for a single axis, also draw the parts of its model."""
     for name, axis in axes.items():
         unit = shown_unit(name, 'B', units)
         curve = drawn_curve(axis, unit.factor)
@@ -150,7 +150,7 @@ def draw_axes(panel: Axes, axes: Mapping[str, AxisResult], units: str = 'deg/h')
 
 
 def _new_figure(rows: int, title: str) -> tuple[Figure, Any]:
-    """Return a figure and its panels, (rows,), which share the averaging times."""
+    """Return a figure and its panels, (rows,), which have the same horizontal axis."""
     size = (WIDTH_IN, HEAD_IN + ROW_IN * rows)
     figure = _ShownFigure(figsize=size, layout='constrained')
     panels = figure.subplots(rows, sharex=True, squeeze=False)[:, 0]
@@ -177,7 +177,7 @@ def _draw_axis(panel: Axes, name: str, axis: AxisResult, units: str) -> None:
     )
     panel.plot(curve.tau, curve.model, 'k-', lw=0.9, label='model')
     for part, adev in (*curve.parts.items(), *curve.limits.items()):
-        # a process that is not a term is gray
+        # processes other than the five terms are gray
         color, dashes = TERM_STYLES.get(part, ('0.5', (0, (2, 1))))
         dashes = dashes if part in curve.parts else (0, (1, 3))
         text = _part_text(part, name, axis, units)
@@ -186,7 +186,10 @@ def _draw_axis(panel: Axes, name: str, axis: AxisResult, units: str) -> None:
     panel.fill_between(
         curve.tau, curve.model, curve.upper, color='k', alpha=LIMIT_ALPHA, lw=0, label=label
     )
-    for term, (tau, value) in curve.read.items():  # a coefficient can be read at its mark
+    for term, (
+        tau,
+        value,
+    ) in curve.read.items():  # at the mark, the deviation equals the coefficient
         panel.plot([tau], [value], '+', color=TERM_STYLES[term][0], ms=7.0, mew=1.2)
     panel.set_ylim(0.45 * np.nanmin(curve.adev), 1.8 * np.nanmax(curve.adev))
 

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The document results.json: the results with the texts of findings and verdict."""
+"""The document results.json: results, with the texts of the findings and the verdict."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Write the files of one analysis into a folder."""
+"""Write the files of an analysis to a folder."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ SIGNAL_BINS = 1000
 REPORT = 'report.html'
 
 LOCK_WAIT_S = 60.0
-"""Longest time in s to wait while another process writes into the same folder."""
+"""Longest time in s to wait while another process writes to the same folder."""
 
 
 def write_result_files(
@@ -52,19 +52,19 @@ def write_result_files(
     plots: Sequence[str] = (),
     overwrite: bool = False,
 ) -> tuple[Results, list[Path]]:
-    """Write the files of `Results.save`, and return the results and the paths of the files.
+    """Write the files of an analysis, as in `Results.save`; return the results and the paths.
 
-    The returned results have a finding for each export target whose file cannot be made.
-    ``command`` is the command that repeats the analysis; the report shows it.
+    The returned results have a finding for each export target whose file cannot be written.
+    ``command`` is the command that repeats the analysis, which the report shows.
 
-    Raises AllanError when the results have no sums, the folder has results of another recording, or
-    a file cannot be written.
+    Raises AllanError if the results have no Allan sums, the folder has results of another
+    recording, or a file cannot be written.
     """
     recorded = results.recorded
     if recorded is None:
         raise AllanError('these results were read from a file without their sums: analyze again')
     folder = Path(folder)
-    _files_in(folder, results, overwrite)  # raises errors early, before the report is made
+    _files_in(folder, results, overwrite)  # raise errors before the report is made
     target_files, results = _filter_files(results, targets)
     provenance = results.provenance
     summary = summarize_signal(
@@ -74,7 +74,7 @@ def write_result_files(
     digest = fingerprint(sums_document)
     figures: dict[str, bytes] = {}
     if plots:
-        from .plots import figure_files  # imports matplotlib
+        from .plots import figure_files  # this module imports matplotlib
 
         figures = figure_files(results, plots, units)
     method = {'command': command} if command else {}
@@ -89,9 +89,9 @@ def write_result_files(
         'fingerprint': digest,
     }
     with _folder_locked(made_folder(folder)):
-        # All files but sums and results are removed first and written last, so that no file of an
-        # earlier analysis remains. The fingerprint in results.json shows whether sums.json belongs
-        # to the same analysis.
+        # All files except results.json and sums.json are removed first and written last, so that
+        # no file of an earlier analysis remains. The fingerprint in results.json shows whether
+        # sums.json belongs to the same analysis.
         former_files = _files_in(folder, results, overwrite)
         sums_and_results = {SUMS: to_json(sums_document), RESULTS: to_json(document)}
         write_together(folder, {**sums_and_results, **contents}, former_files.union(contents))
@@ -115,7 +115,9 @@ def _folder_locked(folder: Path) -> Iterator[None]:
 
 
 def _files_in(folder: Path, results: Results, overwrite: bool) -> set[str]:
-    """Return the names of the files of an earlier analysis, except results.json and sums.json.
+    """Return the names of the files of an earlier analysis in a folder.
+
+    The names do not include results.json and sums.json.
 
     Raises AllanError if the folder has results of another recording, unless ``overwrite`` is set.
     """
@@ -139,7 +141,7 @@ def _files_in(folder: Path, results: Results, overwrite: bool) -> set[str]:
 
 
 def _names(sources: Sequence[tuple[str, str]]) -> list[str]:
-    """Return file name and topic of each source as text, sorted."""
+    """Return the sorted texts 'file name topic' of the sources, given their paths and topics."""
     return sorted(one_line(f'{Path(path).name} {topic}'.strip()) for path, topic in sources)
 
 
@@ -156,7 +158,7 @@ def _filter_files(results: Results, targets: Sequence[str]) -> tuple[dict[str, s
 
 
 def made_folder(folder: Path) -> Path:
-    """Create the folder if it is missing, and return it; raises AllanError if that fails."""
+    """Create the folder if it is missing, and return it; raise AllanError if this fails."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Settings for fitting and comparing, and for the output of an analysis."""
+"""Settings for the fit, the comparison and the output of results."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from .format import FORMATS
 
 @dataclass(frozen=True)
 class ResultSettings(CheckedSettings):
-    """Settings for fitting, comparing, printing and exporting results."""
+    """Settings for the fit, the comparison and the output of results."""
 
     method: str = parameter(
         'likelihood',
@@ -65,12 +65,12 @@ class ResultSettings(CheckedSettings):
 
     @property
     def stated_margin(self) -> float | None:
-        """The margin; None for the default, so that the margin of an earlier comparison is used."""
+        """The margin that the user stated; None for the default, which keeps an earlier margin."""
         return None if self.margin == MARGIN else self.margin
 
 
 def check_plots(formats: Sequence[str]) -> None:
-    """Raise AllanError if a format is unknown, or figures are requested without matplotlib."""
+    """Raise AllanError if a format of figures is unknown, or if matplotlib is missing."""
     for form in formats:
         choose(FORMATS, plots=form)
     if formats:

@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """One `Table` of cells for all outputs: terminal text, HTML, CSV, and records for JSON.
 
-A table states what is shown, and each function renders the table for one output. A cell has a text
-for readers and a value for programs.
+A cell has a text for readers and a value for programs. Each function renders a table for one of the
+outputs.
 """
 
 from __future__ import annotations
@@ -24,25 +24,26 @@ if TYPE_CHECKING:
     from rich.table import Table as Grid
 
 DASH = '–'
-"""Text that HTML shows instead of `NOTHING_KNOWN`."""
+"""Text of an unknown number in HTML, instead of `NOTHING_KNOWN`."""
 
 MARKS = {'within': '✓', 'undecided': '≈', 'exceeds': '✕'}
-"""Status of a quantity that was compared with a limit -> symbol beside the status in HTML."""
+"""Result of the comparison with a limit -> symbol beside this result in HTML."""
 
 GAP, HEADINGS = 2, 14
-"""Space between two columns of terminal text, and least width of the row headings, in characters.
-The least width aligns the tables of several sensors."""
+"""Space between the columns of a table in the terminal, and smallest width of the row headings, in
+characters. This width aligns the tables of several sensors."""
 
 WIDE = 1000
-"""Width in characters of text that is not for a terminal: practically unlimited."""
+"""Width in characters of text that is not shown in a terminal, practically unlimited."""
 
 
 class Heading(NamedTuple):
     """Heading of a column or of a row: name, unit of its cells, and an explanation.
 
-    The other fields apply to terminal text. ``align`` is the alignment of a column. A column with
-    ``wraps`` breaks its lines at the width of the terminal; other columns are as wide as their
-    content. If a table is too wide and is split, a column with ``repeats`` is in each of the parts.
+    The other fields are used in the terminal. ``align`` is the alignment of a column. The lines of
+    a column with ``wraps`` are broken at the width of the terminal; other columns are as wide as
+    their content. If a table is split because it is too wide, each part has the columns with
+    ``repeats``.
     """
 
     name: str
@@ -110,7 +111,7 @@ class Table:
         return any(heading.name for heading in (self.corner, *self.columns))
 
     def with_rows(self, *rows: tuple[Heading, Sequence[Cell]]) -> Table:
-        """Return the table with more rows."""
+        """Return the table with the given rows appended."""
         return replace(self, rows=(*self.rows, *rows))
 
 
@@ -137,15 +138,15 @@ def terminal_lines(table: Table, width: int) -> Iterator[str]:
     """
     from rich.console import Console
 
-    sink = io.StringIO()
+    output = io.StringIO()
     console = Console(
-        file=sink, width=width, color_system=None, markup=False, emoji=False, highlight=False
+        file=output, width=width, color_system=None, markup=False, emoji=False, highlight=False
     )
 
     def fits(grid: Grid) -> bool:
         wraps = any(column.wraps for column in table.columns)
-        unlimited = console.options.update(width=2 * width)
-        return wraps or console.measure(grid, options=unlimited).maximum <= width
+        double_width = console.options.update(width=2 * width)
+        return wraps or console.measure(grid, options=double_width).maximum <= width
 
     all_columns = range(len(table.columns))
     repeated = [i for i in all_columns if table.columns[i].repeats]
@@ -166,16 +167,16 @@ def terminal_lines(table: Table, width: int) -> Iterator[str]:
         ]
     for i, each in enumerate(grids):
         console.print(*([''] * bool(i)), each, sep='\n')
-    yield from (line.rstrip() for line in sink.getvalue().splitlines())
+    yield from (line.rstrip() for line in output.getvalue().splitlines())
     yield from textwrap.wrap(table.note, width - 1, break_on_hyphens=False)
 
 
 def _grid(
     table: Table, columns: Sequence[int], details_beside: bool = False, folds: bool = False
 ) -> Grid:
-    """Return some columns of a table as a table of rich.
+    """Return the given columns of a table as a table of the package `rich`.
 
-    Details are beside the texts if ``details_beside`` is set, otherwise below the texts.
+    The details of cells are beside the texts if ``details_beside`` is set, else below the texts.
     ``folds`` permits line breaks in all columns.
     """
     from rich.table import Table as Grid
@@ -209,9 +210,9 @@ def _plain(heading: Heading) -> str:
 
 
 def in_units(html_of: Callable[[str], str]) -> str:
-    """Return HTML with a text in datasheet units and in SI; the page shows one of the two.
+    """Return HTML that contains a text in datasheet units and in SI, of which the page shows one.
 
-    ``html_of`` returns the text for 'deg/h' or 'SI'. If both texts are equal, there is only one.
+    ``html_of`` returns the HTML of the text for 'deg/h' or 'SI'. Equal texts are contained once.
     """
     texts = {units: html_of(units) for units in UNIT_SYSTEMS}
     if len({*texts.values()}) == 1:
@@ -232,21 +233,25 @@ def html_table(kind: str, table_of: Callable[[str], Table]) -> str:
         return in_units(lambda units: heading_html(of(tables[units])))
 
     corner = heading(lambda table: table.corner)
-    head = f'<th scope="col">{corner}</th>' if corner else '<td></td>'
+    header_cells = f'<th scope="col">{corner}</th>' if corner else '<td></td>'
     for i, column in enumerate(first_table.columns):
-        kinds = f' class="{escape(column.name)}"' if column.name.isalpha() else ''
-        head += f'<th scope="col"{kinds}>{heading(lambda t, i=i: t.columns[i])}</th>'  # type: ignore[misc]
+        class_attribute = f' class="{escape(column.name)}"' if column.name.isalpha() else ''
+        header_cells += (
+            f'<th scope="col"{class_attribute}>{heading(lambda t, i=i: t.columns[i])}</th>'  # type: ignore[misc]
+        )
     body = ''
     for r, (_, cells) in enumerate(first_table.rows):
         body += f'<tr><th scope="row">{heading(lambda t, r=r: t.rows[r][0])}</th>'  # type: ignore[misc]
         for i, cell in enumerate(cells):
-            inner = in_units(lambda units, r=r, i=i: _cell_html(tables[units].rows[r][1][i]))  # type: ignore[misc]
-            kinds = f' class="{cell.status}"' if cell.status and cell.status not in MARKS else ''
-            body += f'<td{kinds}>{inner}{_mark_html(cell.status)}</td>'
+            content_html = in_units(lambda units, r=r, i=i: _cell_html(tables[units].rows[r][1][i]))  # type: ignore[misc]
+            class_attribute = (
+                f' class="{cell.status}"' if cell.status and cell.status not in MARKS else ''
+            )
+            body += f'<td{class_attribute}>{content_html}{_mark_html(cell.status)}</td>'
         body += '</tr>'
-    top = f'<thead><tr>{head}</tr></thead>' if first_table.has_headings else ''
+    header = f'<thead><tr>{header_cells}</tr></thead>' if first_table.has_headings else ''
     note = note_html(first_table.note) if first_table.note else ''
-    return f'<table class="{kind}">{top}<tbody>{body}</tbody></table>{note}'
+    return f'<table class="{kind}">{header}<tbody>{body}</tbody></table>{note}'
 
 
 def note_html(text: str) -> str:
@@ -255,7 +260,7 @@ def note_html(text: str) -> str:
 
 
 def heading_html(heading: Heading) -> str:
-    """Return a heading as HTML: name, unit, and the explanation below."""
+    """Return a heading as HTML: name and unit, with the explanation below."""
     unit = f' <em>{escape(pretty_unit(heading.unit))}</em>' if heading.unit else ''
     note = f'<small>{escape(heading.note)}</small>' if heading.note else ''
     return f'{escape(heading.name)}{unit}{note}'
@@ -265,7 +270,7 @@ def _cell_html(cell: Cell) -> str:
     text = DASH if cell.text == NOTHING_KNOWN else escape(cell.text).replace('\n', '<br>')
     if cell.link:
         text = f'<a href="{escape(cell.link)}">{text}</a>'
-    # a line break within an interval is possible only before the two dots
+    # an interval may be broken only before its two dots
     detail = escape(cell.detail).replace('..', '<wbr>..')
     return f'{text}<small>{detail}</small>' if detail else text
 
@@ -279,11 +284,11 @@ def _mark_html(status: str) -> str:
 # --- programs -------------------------------------------------------------------------------------
 
 Record = Mapping[str, 'float | int | str | None']
-"""The values of one row: name of a column -> value."""
+"""Values of one row of a table: name of a column -> value."""
 
 
 def records(table: Table) -> list[Record]:
-    """Return the rows as records: name of the column -> value of the cell.
+    """Return each row of a table as a record: name of the column -> value of the cell.
 
     The heading of a row is the value of the first column.
     """
@@ -295,9 +300,9 @@ def records(table: Table) -> list[Record]:
 
 
 def csv_text(rows: Iterable[Record], names: Sequence[str]) -> str:
-    """Return records as CSV with a heading.
+    """Return records as the text of a CSV file, with the names of the columns in the first line.
 
-    Unknown values are empty, and numbers have six significant digits.
+    Unknown values are empty. Floating-point numbers have six significant digits.
     """
     file = io.StringIO()
     writer = csv.DictWriter(file, names, restval='', lineterminator='\n')

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Sentences about an IMU in a production test: limits that are not met, findings, decision."""
+"""Sentences about an IMU in a production test: decision, limits that are not met, findings."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from .finding_text import texts_of
 from .verdict_text import finding_text, verdict_of
 
 SHOWN_CHECKS, SHOWN_FINDINGS = 4, 2
-"""Largest number of quantities, and of findings, that the line about an IMU names."""
+"""Largest number of quantities and largest number of findings in the line about an IMU."""
 
 
 def limits_text(limits: Limits) -> str:
@@ -51,7 +51,7 @@ def measured_text(measured: Estimate, limits: Limits) -> str:
 
 
 def name_of(checks: Sequence[Check]) -> str:
-    """Return the name of a quantity with axes: 'gyro x, y N', 'gyro N' for all axes, or 'rate'."""
+    """Return the name of the compared quantity: 'gyro x, y N', 'gyro N' (all axes), or 'rate'."""
     axes = [check.axis for check in checks if check.axis]
     quantity = checks[0].quantity.replace('_', ' ')
     if not axes:
@@ -62,9 +62,9 @@ def name_of(checks: Sequence[Check]) -> str:
 
 
 def checks_text(checks: Sequence[Check], plan: Plan) -> str:
-    """Return measured quantities as text, each with the limits of the plan.
+    """Return measured quantities as text, each with its limits in the plan.
 
-    Axes of one sensor with the same limits are named together.
+    Axes of one sensor that have equal limits are named together.
     """
     groups: dict[tuple[str, str, Limits, str], list[Check]] = {}
     for check in checks:
@@ -84,12 +84,12 @@ def checks_text(checks: Sequence[Check], plan: Plan) -> str:
 
 
 def unit_sentences(check: UnitCheck, results: Results, units: str) -> list[str]:
-    """Return the reasons for the decision about an IMU, the most important first.
+    """Return sentences with the reasons for the decision about an IMU, the most important first.
 
     ``units`` is 'deg/h' or 'SI'.
     """
     suspect_findings = [each for each in grouped(check.suspect) if each.id != 'exceeds_limit']
-    # a wrong unit of measurement or a broken axis explains the numbers, so it comes first
+    # a broken axis or a wrong unit of measurement is the cause of other findings and comes first
     causes = [
         each for each in suspect_findings if each.id in (*BROKEN, *WRONG_UNITS, 'accel_scale')
     ]

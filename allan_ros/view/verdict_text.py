@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The verdict on an IMU in sentences, and a summary of results as text."""
+"""The verdict on an IMU, and a summary of the results, as text."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ VERDICT_WORDS: dict[Level, str] = {
     'unknown': 'Not judged',
     'failed': 'Failed',
 }
-"""Level of a verdict -> text of the level."""
+"""Level of a verdict -> text that is shown to users."""
 
 NO_STEP = ('file_left_out', 'held', 'short', 'record_longer', 'record_too_short')
-"""Ids of findings whose remedy is not a next step, because no action is needed, or because a
-separate step already advises a longer recording."""
+"""Ids of findings whose remedy is not listed as a next step. No action is needed, or another next
+step recommends a longer recording."""
 
 
 @dataclass(frozen=True)
@@ -45,16 +45,16 @@ class Verdict:
     Attributes
     ----------
     level : 'healthy', 'attention', 'measured', 'unknown' or 'failed'
-        'failed' for a broken sensor or an exceeded limit; 'unknown' for too little data, probably
-        wrong units, a recording of motion or of a warm-up, another error, or an undecided
-        comparison of N (of any term if N has no limit); 'measured' if there is no datasheet or
-        earlier run to compare with; 'attention' for a warning; 'healthy' otherwise.
+        'failed' for a broken sensor or an exceeded limit. 'unknown' for too little data, units that
+        are probably wrong, a recording of motion or of a warm-up, another error, or an undecided
+        comparison of N (of any term if N has no limit). 'measured' if there is no datasheet or
+        earlier run to compare with. 'attention' for a warning. 'healthy' in all other cases.
     summary : str
-        One sentence.
+        The most important reason for the level, or the precision, in one sentence.
     reasons : tuple of str
-        Sentences, the most important first.
+        Warnings and errors as sentences, the most important first.
     next_steps : tuple of str
-        Recommended actions, the most urgent first.
+        Recommended actions, the most important first.
     """
 
     level: Level
@@ -64,7 +64,7 @@ class Verdict:
 
 
 def verdict_of(results: Results, units: str = 'deg/h') -> Verdict:
-    """Return the verdict on the IMU of the results, with texts in the ``units`` 'deg/h' or 'SI'."""
+    """Return the verdict on an IMU, given its results; ``units`` are 'deg/h' or 'SI'."""
     comparisons = results.comparisons
     summary = _summary(results, comparisons, units)
     reasons = tuple(finding_text(f, results, units) for f in warnings_and_errors(results))
@@ -85,8 +85,8 @@ def _summary(results: Results, comparisons: Sequence[Check], units: str) -> str:
         return finding_text(faults[0], results, units)
     if not results.is_measured:
         errors = [f for f in results.findings if f.severity == 'error']
-        why = texts_of(errors[0]).message if errors else 'No coefficient is resolved.'
-        return f'Nothing could be measured. {why}'
+        reason = texts_of(errors[0]).message if errors else 'No coefficient is resolved.'
+        return f'Nothing could be measured. {reason}'
     if results.duration_s < TOO_SHORT_S:
         return f'Too short to judge: {duration_text(results.duration_s, 3)} at rest.'
     if not comparisons:
@@ -105,10 +105,10 @@ def _summary(results: Results, comparisons: Sequence[Check], units: str) -> str:
 
 
 def quality(results: Results) -> str:
-    """Return a sentence on the precision of N, B and K: 'N to 0.4 %, B to 8 %, K needs 3 h.'
+    """Return a sentence about the precision of N, B and K: 'N to 0.4 %, B to 8 %, K needs 3 h.'
 
-    A percentage is half the width of the 95 % interval relative to the value, on the axis with the
-    largest such ratio.
+    A percentage is half the width of the 95 % interval, relative to the value, on the axis on which
+    this ratio is largest.
     """
     if not any(c.ci95 or c.upper95 for a in results.axes.values() for c in a.fit.noise.values()):
         return f'Method {results.method} gives no intervals.'
@@ -123,15 +123,15 @@ def quality(results: Results) -> str:
             for c in coefficients
             if c.status == 'estimated' and c.value and c.ci95
         ]
-        on_axes = (
+        axes_text = (
             ''
             if len(widths) == len(coefficients)
             else f' on {len(widths)} of {len(coefficients)} axes'
         )
-        if on_axes and advice and term in advice[1]:
+        if axes_text and advice and term in advice[1]:
             needs.append(term)
         elif widths:
-            parts.append(f'{term} to {float(f"{100.0 * max(widths):.2g}"):g} %{on_axes}')
+            parts.append(f'{term} to {float(f"{100.0 * max(widths):.2g}"):g} %{axes_text}')
         else:
             limits.append(term)
     if advice and needs:
@@ -162,7 +162,7 @@ def _excesses(results: Results, exceeded: Sequence[Check], units: str) -> Iterat
 
 
 def warnings_and_errors(results: Results) -> list[Finding]:
-    """Return the warnings and errors; equal findings of several axes are merged."""
+    """Return the warnings and errors among the findings; equal findings of axes are merged."""
     return [found for found in grouped(results.findings) if found.severity != 'info']
 
 
@@ -191,7 +191,7 @@ def _steps(results: Results, comparisons: Sequence[Check]) -> Iterator[str]:
 
 
 def further_steps(results: Results, verdict: Verdict) -> list[str]:
-    """Return the next steps of a verdict that are not remedies of findings in ``results``."""
+    """Return the next steps of a verdict except the remedies of findings."""
     remedies = tuple(r for f in results.findings if (r := texts_of(f).remedy.rstrip('.')))
     return [step for step in verdict.next_steps if not step.startswith(remedies)]
 
@@ -212,7 +212,7 @@ def finding_text(finding: Finding, results: Results, units: str) -> str:
 
 
 def where(finding: Finding, results: Results) -> str:
-    """Return the axes of a finding as the start of its text: 'gyro x, accel: ', or ''."""
+    """Return the axes of a finding as the start of a text: 'gyro x, accel: '; '' without axes."""
     return f'{_axes_text(finding.axes, results)}: ' if finding.axes else ''
 
 
@@ -221,7 +221,7 @@ def _axis(axis: str) -> str:
 
 
 def _axes_text(axes: Sequence[str], results: Results) -> str:
-    """Return the names of axes: 'gyro x', 'gyro' for all its axes, or 'all axes'."""
+    """Return axes as text: 'gyro x', 'gyro' for all axes of the gyro, or 'all axes'."""
     if set(axes) >= set(results.axes):
         return 'all axes'
     words: list[str] = []
@@ -237,21 +237,21 @@ def _joined(words: Sequence[str]) -> str:
 
 
 REPORTED_LEFT_OUT = 0.01
-"""Fraction of unused samples from which the number of received samples is shown, too."""
+"""The number of received samples is also shown if at least this fraction of them is unused."""
 
 
 def used_samples(results: Results) -> str:
-    """Return '60,000 samples', or '737,856 of 1,000,000 samples' if a part was not used."""
+    """Return '60,000 samples', or '737,856 of 1,000,000 samples' if some were not used."""
     used, counts = results.samples, results.provenance.counts
-    # with two topics, the counts are added up, but `used` is the number of samples of one topic
-    two_topics = used < (1.0 - REPORTED_LEFT_OUT) * counts.used
-    shows_total = not two_topics and used < (1.0 - REPORTED_LEFT_OUT) * counts.received
+    # with two topics, the counts are for both topics, but `used` is for one topic
+    has_two_topics = used < (1.0 - REPORTED_LEFT_OUT) * counts.used
+    shows_total = not has_two_topics and used < (1.0 - REPORTED_LEFT_OUT) * counts.received
     total = f' of {counts.received:,}' if shows_total else ''
     return f'{used:,}{total} samples'
 
 
 def headline(results: Results) -> str:
-    """Return one line: name of the IMU, number and rate of samples, time at rest, and method."""
+    """Return a line with the name of the IMU, its samples, the time at rest and the fit method."""
     name = results.identity.label or 'IMU'
     return (
         f'{name}: {used_samples(results)} at {results.rate_hz:.5g} Hz, '
@@ -261,7 +261,7 @@ def headline(results: Results) -> str:
 
 
 def summary_lines(results: Results) -> Iterator[str]:
-    """Yield the lines of a text summary: headline, N, B and K of each axis, warnings, errors."""
+    """Yield the lines of a summary: headline, N, B and K of each axis, warnings and errors."""
     yield headline(results)
     yield from terminal_lines(axis_table(results.noise, 'deg/h', ADVISED_TERMS), WIDE)
     for each in warnings_and_errors(results):

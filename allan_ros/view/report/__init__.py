@@ -57,7 +57,7 @@ if TYPE_CHECKING:
     from ...results.results import Results
 
 SCRIPTS = ('chart.js', 'charts.js', 'page.js')
-"""Names of the script files, in the order in which they run."""
+"""Names of the JavaScript files in the page, in the order in which they run."""
 
 ICONS = {
     'healthy': '<path d="M7 12.5l3.5 3.5L17 9"/>',
@@ -66,7 +66,7 @@ ICONS = {
     'unknown': '<path d="M9 9.5a3 3 0 1 1 4.2 2.8c-.8.4-1.2.9-1.2 1.7v.4M12 17.3v.4"/>',
     'failed': '<path d="M8 8l8 8M16 8l-8 8"/>',
 }
-"""Level of the verdict -> SVG path of its symbol."""
+"""Level of the verdict -> SVG path of the symbol that is shown with it."""
 
 
 def render_report(
@@ -78,10 +78,18 @@ def render_report(
 ) -> str:
     """Return the HTML of the report.
 
-    ``units`` selects the units that are shown at first, 'deg/h' or 'SI'; a switch in the page
-    changes the units. Without ``signal``, the charts of the raw signal and of values over time are
-    omitted. ``method`` contains further rows for the table of the method, and ``files`` the names
-    of files in the same folder.
+    Parameters
+    ----------
+    results : Results
+        The results of the analysis.
+    units : 'deg/h' or 'SI'
+        Units that are shown at first; a switch in the page changes the units.
+    signal : SignalSummary or None
+        Without this summary, the charts of the raw signal and of values over time are omitted.
+    method : mapping of str to str
+        Further rows for the table "How to repeat the analysis".
+    files : sequence of str
+        Names of files in the same folder, which are linked.
     """
     name = results.identity.label or 'IMU'
     sensors = {
@@ -118,8 +126,12 @@ def render_report(
         *_findings_section(results),
     ]
     body += _fold('motion', 'Error in motion', [*_motion(results)], shown=True)
-    heat = '<div class="charts" data-kind="temperature"></div>' if data['temperature'] else ''
-    body += _fold('trends', 'Bias and noise over time', [*_hosts(charts, 'trends'), heat])
+    temperature_host = (
+        '<div class="charts" data-kind="temperature"></div>' if data['temperature'] else ''
+    )
+    body += _fold(
+        'trends', 'Bias and noise over time', [*_hosts(charts, 'trends'), temperature_host]
+    )
     body += _fold('density', 'Noise density', _hosts(charts, 'density'))
     body += _fold('signal', 'Raw signal', _hosts(charts, 'signal'))
     for id, title, content in (
@@ -138,7 +150,7 @@ def render_report(
 
 
 def _fold(id: str, title: str, content: Sequence[str], shown: bool = False) -> Iterator[str]:
-    """Yield a section that a click on its heading opens or closes; nothing without content."""
+    """Yield the HTML of a section that can be opened and closed; nothing without content."""
     if any(content):
         yield f'<details id="{id}"{" open" if shown else ""}><summary><h2>{title}</h2></summary>'
         yield from content
@@ -146,14 +158,14 @@ def _fold(id: str, title: str, content: Sequence[str], shown: bool = False) -> I
 
 
 def _hosts(charts: Sequence[Mapping[str, Any]], kind: str) -> list[str]:
-    """Return the empty HTML elements in which a script draws the charts of one kind."""
+    """Return the empty HTML elements into which a script draws the charts of one kind."""
     html = '<div class="charts" data-kind="{}" data-sensor="{}"></div>'
-    names = [of['sensor'] for of in charts if of[kind]]
+    names = [chart['sensor'] for chart in charts if chart[kind]]
     return _pair(names, [[html.format(kind, name)] for name in names])
 
 
 def _pair(sensors: Iterable[str], parts: Iterable[Sequence[str]]) -> list[str]:
-    """Return the HTML ``parts`` of the sensors in columns; nothing if no sensor has a part."""
+    """Return the HTML of each sensor in a separate column; an empty list without any HTML."""
     content = [
         f'<div><h3>{SENSOR_NAMES[sensor]}</h3>{"".join(part)}</div>'
         for sensor, part in zip(sensors, parts)
@@ -163,9 +175,9 @@ def _pair(sensors: Iterable[str], parts: Iterable[Sequence[str]]) -> list[str]:
 
 
 def _page(title: str, body: str, data: str) -> str:
-    here = resources.files(__package__)
-    scripts = [here.joinpath(name).read_text('utf-8') for name in SCRIPTS]
-    style = here.joinpath('report.css').read_text('utf-8')
+    package_files = resources.files(__package__)
+    scripts = [package_files.joinpath(name).read_text('utf-8') for name in SCRIPTS]
+    style = package_files.joinpath('report.css').read_text('utf-8')
     digests = (hashlib.sha256(script.encode()).digest() for script in scripts)
     hashes = ' '.join(f"'sha256-{base64.b64encode(digest).decode()}'" for digest in digests)
     policy = (
@@ -187,14 +199,14 @@ def _page(title: str, body: str, data: str) -> str:
 def _header(results: Results, name: str, units: str) -> Iterator[str]:
     start = results.provenance.start
     inputs = [*dict.fromkeys(Path(source.path).name for source in results.provenance.sources)]
-    more = f' and {len(inputs) - 1} more' if len(inputs) > 1 else ''
+    more_inputs = f' and {len(inputs) - 1} more' if len(inputs) > 1 else ''
     facts = [
-        inputs[0] + more if inputs else '',
+        inputs[0] + more_inputs if inputs else '',
         f'{used_samples(results)} at {significant(results.rate_hz, 4)} Hz',
         f'{duration_text(results.duration_s, 3)} at rest in {_segments(results)}',
         f'{start:%Y-%m-%d %H:%M} UTC' if start else '',
     ]
-    switch = ''.join(
+    unit_switch = ''.join(
         f'<label><input type="radio" name="units" value="{system}"'
         f'{" checked" if system == units else ""}>{system}</label>'
         for system in UNIT_SYSTEMS
@@ -202,12 +214,12 @@ def _header(results: Results, name: str, units: str) -> Iterator[str]:
     yield (
         f'<header><h1>Noise of {escape(name)}</h1>'
         f'<ul class="plain">{_items(filter(None, facts))}</ul>'
-        f'<fieldset class="switch"><legend>Units</legend>{switch}</fieldset></header>'
+        f'<fieldset class="switch"><legend>Units</legend>{unit_switch}</fieldset></header>'
     )
 
 
 def _items(texts: Iterable[str]) -> str:
-    # no line break within an option such as --to
+    # options such as --to are not broken at the end of a line
     unbroken_options = partial(
         re.compile(r'--[a-z][a-z-]*').sub, r'<span class="nowrap">\g<0></span>'
     )

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Data of the charts in the report as plain values in SI, with factors to datasheet units."""
+"""Data of the charts in the report, as JSON values in SI with factors to datasheet units."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ MEANS = 128
 """Largest number of points in a chart of the bias or the noise over time."""
 
 LEAST_TREND_POINTS = 4
-"""Smallest number of points with which a chart over time or temperature is drawn."""
+"""Smallest number of points of a chart over time or over temperature."""
 
 
 def sensor_charts(results: Results, sensor: str, summary: SignalSummary | None) -> dict[str, Any]:
@@ -59,17 +59,17 @@ def sensor_charts(results: Results, sensor: str, summary: SignalSummary | None) 
 def rounded(values: ArrayLike, digits: int = 5) -> list[float | None]:
     """Return values of any unit, (n,), rounded to ``digits`` significant digits.
 
-    NaN and infinity become None. Five digits are finer than a tenth of a pixel on any screen.
+    NaN and infinity become None. An error in the fifth digit is less than a tenth of a pixel.
     """
     numbers = np.asarray(values, float).tolist()
     return [float(f'{v:.{digits}g}') if math.isfinite(v) else None for v in numbers]
 
 
 def to_script(data: object) -> str:
-    """Return plain values as JSON that is safe inside a ``<script>`` element.
+    """Return data as JSON text that is safe inside a ``<script>`` element.
 
     A ``<`` in a frame_id could end the element, and two Unicode separators end a line in older
-    JavaScript. These characters occur only in JSON strings, where they are escaped.
+    versions of JavaScript. These characters occur only in JSON strings, in which they are escaped.
     """
     text = json.dumps(data, allow_nan=False, ensure_ascii=False, separators=(',', ':'))
     for character in '<>&\u2028\u2029':
@@ -78,14 +78,14 @@ def to_script(data: object) -> str:
 
 
 def _units(sensor: str, units: str) -> dict[str, Any]:
-    """Return quantity -> [name of the unit in which it is shown, factor from SI to this unit]."""
+    """Return quantity -> [name of its unit in the charts, factor from SI to this unit]."""
     shown = {
         'curve': shown_unit(sensor, 'B', units),
         'signal': shown_unit(sensor, 'signal', units),
         'density': shown_unit(sensor, 'density', units),
         **{term: shown_unit(sensor, term, units) for term in TERMS},
     }
-    return {what: [pretty_unit(unit.name), unit.factor] for what, unit in shown.items()}
+    return {key: [pretty_unit(unit.name), unit.factor] for key, unit in shown.items()}
 
 
 def _axis(name: str, axis: AxisResult, tau: Sequence[float]) -> dict[str, Any]:
@@ -140,7 +140,7 @@ def _references(
 
 
 def _density(axes: Mapping[str, AxisResult], results: Results) -> dict[str, Any] | None:
-    """Return measured and modeled noise density (SI/sqrt(Hz)) of all axes; None if unknown."""
+    """Return measured and modeled noise densities of all axes, in SI/sqrt(Hz); None if unknown."""
     all_sums = () if results.recorded is None else results.recorded.sums
     spectra = (noise_density(sums) for sums in all_sums if set(axes) & set(sums.axes))
     spectrum = next((found for found in spectra if found is not None), None)
@@ -161,7 +161,7 @@ def _density(axes: Mapping[str, AxisResult], results: Results) -> dict[str, Any]
 
 
 def _lines(axes: Mapping[str, AxisResult]) -> list[tuple[float, str]]:
-    groups: dict[str, list[tuple[float, str]]] = {}  # frequencies that are equal after rounding
+    groups: dict[str, list[tuple[float, str]]] = {}  # rounded frequency -> (Hz, axis)
     for name, axis in axes.items():
         shapes = (part.process.numbers for part in axis.processes.parts)
         for frequency in (shape['frequency'] for shape in shapes if 'frequency' in shape):
@@ -185,20 +185,20 @@ def _signal(axes: Mapping[str, AxisResult], summary: SignalSummary) -> list[dict
 
 
 def times(summary: SignalSummary | None) -> dict[str, Any] | None:
-    """Return the time axis of the raw signal, and the times to be marked; None without a signal.
+    """Return the times of the raw signal, and the times to be marked; None without a signal.
 
-    Each of ``bands`` is (start in s, end in s, kind). The kind is 'gap' for a gap. For an excluded
-    time, it is the reason in `Excluded.why`, or 'other' if there is no reason.
+    A band is (start in s, end in s, kind). The kind is 'gap', or the reason in `Excluded.why` for
+    which the time is excluded, or 'other' if no reason is known.
     """
     if summary is None:
         return None
-    bands = [[*rounded([out.start, out.end]), out.why or 'other'] for out in summary.excluded]
+    bands = [[*rounded([each.start, each.end]), each.why or 'other'] for each in summary.excluded]
     bands += [[*rounded(gap), 'gap'] for gap in summary.gaps]
     return {'time': rounded(summary.time_s), 'bands': bands, 'starts': rounded(summary.starts[1:])}
 
 
 def temperature_chart(summary: SignalSummary | None) -> dict[str, Any] | None:
-    """Return the temperature over time (s) in degC; None if no temperature was recorded."""
+    """Return times in s and temperatures in degC; None if no temperature was recorded."""
     if summary is None or summary.temperature is None:
         return None
     temperature = summary.temperature
@@ -207,9 +207,9 @@ def temperature_chart(summary: SignalSummary | None) -> dict[str, Any] | None:
 
 
 def motion_chart(results: Results) -> dict[str, Any] | None:
-    """Return error / predicted error of each drive; None if the error in motion was not measured.
+    """Return error / predicted error for each drive; None if the error in motion was not measured.
 
-    Durations are in s and angles in deg.
+    The durations of the drives are in s, and the angles by which the robot turned are in deg.
     """
     if results.motion is None:
         return None
@@ -224,11 +224,11 @@ def motion_chart(results: Results) -> dict[str, Any] | None:
 
 
 def model_density(axis: AxisResult, spectrum: Spectrum) -> Floats:
-    """Return the one-sided power spectral density of the model, (points,), in SI unit^2/Hz.
+    """Return the one-sided power spectral density of the model, (frequencies,), in SI unit^2/Hz.
 
-    The density is the expectation of the measured spectrum for the same blocks and tapers. A
-    sinusoid therefore is a peak of the same height, and slow processes have the same leakage. The
-    tapers remove a ramp. The density is NaN above the pass band of a low-pass filter.
+    The density is what `spectrum` would measure for this model on average. Sinusoids therefore have
+    peaks of the same height, and slow processes the same leakage. A ramp has no effect, because the
+    tapers remove it. The density is NaN above the pass band of a low-pass filter.
     """
     tau0, power = axis.tau0, np.zeros(len(spectrum.frequency))
     for process, value, *_ in axis.fit.model.parts:
@@ -236,9 +236,9 @@ def model_density(axis: AxisResult, spectrum: Spectrum) -> Floats:
             unit = expected_power(process.in_unit(tau0), spectrum.octaves)[spectrum.bin]
             power += process.variance_of(value, tau0) * unit
     density = 2.0 * tau0 * spectrum.step * power
-    # a model describes frequencies up to 4 / (its shortest averaging time)
-    band = 4.0 / (axis.fit.m_min * tau0) if axis.fit.m_min > 1 else math.inf
-    return np.where(spectrum.frequency <= band, density, np.nan)
+    # the pass band: frequencies up to 4 / (shortest averaging time of the model)
+    highest_frequency = 4.0 / (axis.fit.m_min * tau0) if axis.fit.m_min > 1 else math.inf
+    return np.where(spectrum.frequency <= highest_frequency, density, np.nan)
 
 
 class Trend(NamedTuple):
@@ -250,10 +250,10 @@ class Trend(NamedTuple):
 
 
 def trends(results: Results, sensor: str, summary: SignalSummary | None) -> list[dict[str, Any]]:
-    """Return the charts of bias and noise over time, and of the bias against temperature.
+    """Return the charts of bias and noise over time, and of the bias over temperature.
 
-    The charts are computed from the ``summary`` of the raw signal. Without a summary, the result is
-    empty.
+    The charts are computed from the ``summary`` of the raw signal. The list is empty without a
+    summary, and if there are too few points.
     """
     names = [name for name in AXES[SENSORS[sensor]] if name in results.axes]
     if summary is None or not names:
@@ -280,9 +280,10 @@ def trends(results: Results, sensor: str, summary: SignalSummary | None) -> list
 
 
 def _over_time(summary: SignalSummary, values: Floats) -> Trend:
-    """Return the means of ``values``, (bins, axes), over equal intervals; NaN separates recordings.
+    """Return the means of ``values``, (bins, axes), over intervals of equal length.
 
-    The mean is NaN unless more than half of the bins of the interval are used.
+    A mean is NaN unless more than half of the bins of its interval are used. A NaN separates two
+    recordings.
     """
     step = -(-len(summary.time_s) // MEANS)
     time_steps = np.diff(summary.time_s)
@@ -310,21 +311,24 @@ def _against_temperature(bias: Trend, summary: SignalSummary | None) -> Trend | 
     has_reading = np.isfinite(trace.celsius)
     times_s, readings = trace.time_s[has_reading], trace.celsius[has_reading]
     celsius = np.interp(bias.x, times_s, readings, np.nan, np.nan)
-    has_both = np.isfinite(celsius) & np.isfinite(bias.values).all(axis=1)
-    if has_both.sum() < LEAST_TREND_POINTS or np.ptp(celsius[has_both]) <= 0.5:  # degC
+    is_known = np.isfinite(celsius) & np.isfinite(bias.values).all(axis=1)
+    if is_known.sum() < LEAST_TREND_POINTS or np.ptp(celsius[is_known]) <= 0.5:  # K
         return None
-    order = np.argsort(celsius[has_both], kind='stable')
-    return Trend(celsius[has_both][order], bias.values[has_both][order], bias.tau)
+    order = np.argsort(celsius[is_known], kind='stable')
+    return Trend(celsius[is_known][order], bias.values[is_known][order], bias.tau)
 
 
 def _fitted(
-    against: Trend, models: Mapping[str, TemperatureModel], names: Sequence[str]
+    trend: Trend, models: Mapping[str, TemperatureModel], names: Sequence[str]
 ) -> dict[str, Any]:
-    """Return the models as curves, shifted to the mean of the points, and as text."""
+    """Return the models of the bias over temperature as curves and as text.
+
+    Each curve is shifted to the mean of the points of its axis.
+    """
     if set(models) != set(names):
         return {'fits': [], 'text': dict.fromkeys(UNIT_SYSTEMS, '')}
-    curves = [models[name].bias(against.x) for name in names]
-    middles = against.values.mean(axis=0)
+    curves = [models[name].bias(trend.x) for name in names]
+    middles = trend.values.mean(axis=0)
     return {
         'fits': [rounded(curve - curve.mean() + m) for curve, m in zip(curves, middles)],
         'text': {u: pretty_unit(temperature_text(models, u)) for u in UNIT_SYSTEMS},

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Writes the tables of the report, and the notes below the tables, as HTML."""
+"""Tables of the report as HTML, with the notes below the tables."""
 
 from __future__ import annotations
 
@@ -32,28 +32,28 @@ Axes = Mapping[str, AxisResult]
 
 
 def headline_html(axes: Axes) -> str:
-    """Return an HTML table of N, B and K with one column per axis."""
+    """Return an HTML table of N, B and K of a sensor, with a column for each axis."""
     return html_table('coefficients', lambda units: _coefficients(axes, units, ADVISED_TERMS))
 
 
 def model_html(axes: Axes) -> Iterator[str]:
-    """Yield an HTML table of the parts of the model, and of the terms that `headline_html` omits.
+    """Yield an HTML table of the terms that `headline_html` omits, and of the parts of the models.
 
-    If no term has a value or a limit, only a note is yielded, which states this.
+    If no term has a value or a limit, a note states this instead.
     """
     noise = [c for axis in axes.values() for c in axis.fit.noise.values()]
     if all(c.value is None and c.upper95 is None for c in noise):
         yield note_html('Nothing could be measured: neither a value nor a limit.')
         return
-    others = [term for term in TERMS if term not in ADVISED_TERMS]
+    other_terms = [term for term in TERMS if term not in ADVISED_TERMS]
     parts = parts_table(axes).rows
     yield _scrolled(
-        'coefficients', lambda units: _coefficients(axes, units, others).with_rows(*parts)
+        'coefficients', lambda units: _coefficients(axes, units, other_terms).with_rows(*parts)
     )
 
 
 def filter_html(results: Results) -> str:
-    """Return an HTML table of imu.yaml, with the key, the value and the origin of each number.
+    """Return an HTML table of imu.yaml: key and value of each number, and how it was computed.
 
     If a key needs an axis that was not measured, a note states this instead.
     """
@@ -70,7 +70,7 @@ def filter_html(results: Results) -> str:
 def growth_html(axes: Axes) -> Iterator[str]:
     """Yield an HTML table of the predicted angle or velocity error without correction.
 
-    The scatter of the bias between recordings follows, if it is known.
+    Notes state the scatter of the bias between recordings, if the scatter is known.
     """
     if all(axis.growth for axis in axes.values()):
         yield _scrolled('comparison', partial(growth_table, axes))
@@ -98,7 +98,7 @@ def _scatter(name: str, axis: AxisResult, units: str) -> str:
 
 
 def datasheet_html(axes: Axes, sheet: Datasheet, comparisons: Sequence[Check]) -> Iterator[str]:
-    """Yield an HTML table of the datasheet limits of a sensor; nothing if there are no limits."""
+    """Yield an HTML table that compares a sensor with its datasheet; nothing without limits."""
     stated_texts: dict[str, list[str]] = {}
     notes = []
     for term in TERMS:
@@ -123,7 +123,7 @@ def datasheet_html(axes: Axes, sheet: Datasheet, comparisons: Sequence[Check]) -
 
 
 def baseline_html(axes: Axes, before: Results, comparisons: Sequence[Check]) -> Iterator[str]:
-    """Yield an HTML table that compares a sensor with an earlier run; nothing without checks."""
+    """Yield an HTML table of a sensor and its earlier run; nothing without comparisons."""
     if any(c.axis in axes and c.quantity in TERMS for c in comparisons):
         yield _scrolled(
             'comparison', lambda units: baseline_table(_noise(axes), comparisons, units, before)
@@ -135,7 +135,7 @@ def baseline_html(axes: Axes, before: Results, comparisons: Sequence[Check]) -> 
 
 
 def facts_html(facts: Mapping[str, str]) -> str:
-    """Return an HTML table with a row for each fact: its name and its text."""
+    """Return an HTML table with a row for each fact, which contains its name and its text."""
     rows = [(Heading(name), [Cell(text)]) for name, text in facts.items()]
     return html_table('facts', lambda _: Table(Heading(''), [Heading('')], rows))
 
