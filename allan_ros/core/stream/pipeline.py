@@ -34,16 +34,20 @@ ended."""
 IDLE = ('sensor_all_zero', 'zero_filled', 'held')
 ABSENT = ('sensor_absent', 'axis_absent')
 UNTIMED = ('stamps_missing', 'stamps_unusable', 'stamps_from_rate')
-"""Faults of the first samples that may end later: samples of a sensor are zero or repeated, values
-of a sensor are not numbers, or the stamps are not usable. When such a fault ends, new sensor
-streams begin."""
+"""Ids of findings about faults of the first samples that may end later: samples of a sensor are
+zero or repeated, values of a sensor are not numbers, or the stamps are not usable. When such a
+fault ends, new sensor streams begin."""
 
 STILL_IDLE = 0.05
-"""Share of zero or repeated samples below which this fault of the first samples has ended."""
+"""A fault of zero or repeated samples has ended if their share is below this value."""
 
 
 class Present(NamedTuple):
-    """State of a stream, known faults of its latest samples, and the white noise of each axis."""
+    """State of a stream, known faults of its latest samples, and noise of each axis.
+
+    ``noise`` maps each axis to the standard deviation of its white noise in the unit of the
+    samples.
+    """
 
     state: State
     faults: tuple[Finding, ...]
@@ -80,7 +84,7 @@ class ImuStream:
         self._present = FrameStream(ImuIdentity('', hardware_id), *self._options)
         self._frame_changes = 0
         self._ended = False  # whether `end` was called after the last sample
-        self._dropped = Counts()  # counts of frames whose sums were discarded
+        self._dropped = Counts()  # counts of the frame_ids whose sums were discarded
         self._dropped_frames = 0
 
     def update(self, batch: ImuBatch) -> None:
@@ -111,34 +115,38 @@ class ImuStream:
         The samples have the frame_id with the most data, and follow the last change of its rate.
         The result is empty unless ``with_samples`` was set.
         """
-        frame = max(self._frames.values(), key=lambda each: each.counts.used, default=self._present)
-        whole = [(s.axes, joined(s.kept)) for s in frame.sensors if s.kept]
+        most_used = max(
+            self._frames.values(), key=lambda each: each.counts.used, default=self._present
+        )
+        kept = [(s.axes, joined(s.kept)) for s in most_used.sensors if s.kept]
         return {
             axis: (block.stamps_ns, row)
-            for axes, block in whole
+            for axes, block in kept
             for axis, row in zip(axes, block.rows)
         }
 
     def drives(self) -> Drives:
         """Return the latest drives between two rests; empty unless ``with_drives`` was set.
 
-        The drives have the frame_id with the most data. There are none if gyro and accelerometer
-        have different rates or are in different streams. Before `end`, a drive is complete when its
-        second rest is over or long enough.
+        The drives are those with the frame_id that has the most data. There are no drives if gyro
+        and accelerometer have different rates or are in different streams. Before `end`, a drive is
+        complete when its second rest is over or long enough.
         """
-        frame = max(self._frames.values(), key=lambda each: each.counts.used, default=self._present)
-        recorders = [each.recorder for each in frame.sensors if each.recorder is not None]
+        most_used = max(
+            self._frames.values(), key=lambda each: each.counts.used, default=self._present
+        )
+        recorders = [each.recorder for each in most_used.sensors if each.recorder is not None]
         if not recorders:
             return NO_DRIVES
         return recorders[0].result if self._ended else recorders[0].complete
 
     def result(self) -> Accumulation:
         """Return the results as if the input ended here; the stream is not changed."""
-        now = self if self._ended else self._at_end()
-        longest = now._longest()
+        ended = self if self._ended else self._at_end()
+        longest = ended._longest()
         sums = tuple(each.sums for each in longest)
         segments = longest[0].segments if longest else ()
-        return Accumulation(sums, *now._health(self._state_with(now), sums), segments)
+        return Accumulation(sums, *ended._health(self._state_with(ended), sums), segments)
 
     def present_health(
         self, sums: tuple[AllanSums, ...]
@@ -151,31 +159,31 @@ class ImuStream:
         present = self._present.present
         if present.state not in ('waiting', 'learning'):
             return self._health(present, sums)
-        # all samples are buffered, and there are few of them
-        now = self if self._ended else self._at_end()
-        return now._health(self._state_with(now), sums)
+        # in these states, all samples are still buffered, and there are few of them
+        ended = self if self._ended else self._at_end()
+        return ended._health(self._state_with(ended), sums)
 
     def _at_end(self) -> ImuStream:
         """Return the stream as if the input ended here."""
-        now = copy.deepcopy(self)
-        now.end()
-        return now
+        ended = copy.deepcopy(self)
+        ended.end()
+        return ended
 
-    def _state_with(self, now: ImuStream) -> Present:
-        """Return the present state; ``now`` is the stream as if the input ended here.
+    def _state_with(self, ended: ImuStream) -> Present:
+        """Return the present state; ``ended`` is the stream as if the input ended here.
 
-        While the noise floor is learned, only ``now`` shows whether the first samples are moving.
+        While the noise floor is learned, only ``ended`` shows whether the first samples are moving.
         """
-        present, after = self._present.present, now._present.present
+        present, at_end = self._present.present, ended._present.present
         is_first = present.state in ('waiting', 'learning')
-        return after if is_first and after.state == 'moving' else present
+        return at_end if is_first and at_end.state == 'moving' else present
 
     def _add_frame(self, frame_id: str) -> FrameStream:
-        """Start the stream of a new frame_id; if there are two, first remove the smaller one."""
+        """Start the stream of a new frame_id; of two earlier streams, remove the smaller one."""
         if len(self._frames) > 1:
-            least = min(self._frames.values(), key=lambda frame: frame.counts.used)
-            del self._frames[least.identity.frame_id]
-            self._dropped.other_frame += least.received
+            smallest = min(self._frames.values(), key=lambda frame: frame.counts.used)
+            del self._frames[smallest.identity.frame_id]
+            self._dropped.other_frame += smallest.received
             self._dropped_frames += 1
         frame = FrameStream(ImuIdentity(frame_id, self._hardware_id), *self._options)
         self._frames[frame_id] = frame
@@ -186,16 +194,18 @@ class ImuStream:
         frames = self._frames.values()
         sensors = [sensor for frame in frames for sensor in (*frame.earlier, *frame.sensors)]
         results = [each for sensor in sensors for each in sensor.by_rate()]
-        best: dict[str, StreamSums] = {}
+        longest: dict[str, StreamSums] = {}
         for each in sorted(results, key=lambda each: -each.sums.elapsed_ns):
             for axis in each.sums.axes:
-                best.setdefault(axis, each)
-        return tuple({id(best[axis]): best[axis] for axis in AXES if axis in best}.values())
+                longest.setdefault(axis, each)
+        return tuple(
+            {id(longest[axis]): longest[axis] for axis in AXES if axis in longest}.values()
+        )
 
     def _health(
         self, present: Present, longest: tuple[AllanSums, ...]
     ) -> tuple[StreamHealth, tuple[Finding, ...]]:
-        """Return counts, state and findings; ``longest`` are the sums that are reported."""
+        """Return the health and the findings; ``longest`` are the sums that are reported."""
         frame = self._present
         counts = Counts(received=self._received)
         for each in (self._dropped, *(frame.counts for frame in self._frames.values())):
@@ -229,25 +239,25 @@ class ImuStream:
         notes = [note for frame in self._frames.values() for note in frame.notes]
         if repeated := sum(frame.repeated for frame in self._frames.values()):
             notes.append(finding('time_repeated', count=repeated))
-        mixed = [sensor for sensor in frame.sensors if sensor.is_interleaved]
-        notes += [finding('interleaved', sensor.axes) for sensor in mixed]
+        interleaved = [sensor for sensor in frame.sensors if sensor.is_interleaved]
+        notes += [finding('interleaved', sensor.axes) for sensor in interleaved]
         if clock is not None:  # the stamps became usable later
             notes = [note for note in notes if note.id != 'stamps_missing']
-        # findings from the first samples are replaced when the share of all samples is known
+        # when the clipped share of all samples is known, it replaces the share of the first samples
         if any(sensor.is_examined or sensor.lost for sensor in frame.sensors):
             notes = [note for note in notes if note.id != 'clipped']
-        found = [*notes, *stream_findings(health, longest, self._settings)]
-        return health, tuple(dict.fromkeys(found))
+        findings = [*notes, *stream_findings(health, longest, self._settings)]
+        return health, tuple(dict.fromkeys(findings))
 
 
 class FrameStream:
     """Chooses the stamps of the samples with one frame_id, and divides them into sensor streams.
 
-    ``sensors`` has one stream for all axes, or one per sensor if the rates differ. It is empty
-    until the first samples are evaluated. ``notes`` are the findings about these first samples. If
-    they have a fault, the next samples are examined, `CHECKED` at a time, before they are
-    processed. When the fault has ended, new sensor streams begin, and the former ones become
-    ``earlier``.
+    ``sensors`` contains one stream for all axes, or one stream per sensor if the rates differ. It
+    is empty until the first samples are evaluated. ``notes`` are the findings about these samples.
+    If the first samples have a fault, the next samples are examined, `CHECKED` at a time, before
+    they are processed. When the fault has ended, new sensor streams begin, and the former streams
+    become ``earlier``.
     """
 
     def __init__(
@@ -264,7 +274,7 @@ class FrameStream:
         self.sensors: tuple[SensorStream, ...] = ()
         self.earlier: tuple[SensorStream, ...] = ()
         self._dropped = Counts()  # counts of the streams before `earlier`
-        self._faulty: tuple[Finding, ...] = ()  # faults of the first samples, which may end
+        self._faulty: tuple[Finding, ...] = ()  # faults of the first samples that may end
         self.notes: list[Finding] = []
         self.first_ns: int | None = None
         self.received = 0
@@ -273,7 +283,7 @@ class FrameStream:
         self._sensor = sensor  # the only sensor that is used; '' for both
         self._sorter = StampSorter()
         self._buffer: list[ImuBatch] = []  # samples that are not evaluated yet
-        self._skip_ns = round(settings.skip * 1e9)  # 0 once the warm-up time is over
+        self._skip_ns = round(settings.skip * 1e9)  # length of the warm-up time; 0 after its end
         self._skipped = 0  # number of samples in the warm-up time
         self._covered = None if covered is None else CoveredTime(covered)
 
@@ -307,7 +317,7 @@ class FrameStream:
 
     @property
     def counts(self) -> Counts:
-        """Counts of all sensor streams; ``received`` is 0, since `ImuStream` counts it."""
+        """Counts of all sensor streams; ``received`` is 0, because `ImuStream` counts it."""
         counts = Counts(skipped=self._skipped + self.repeated, reordered=self._sorter.sorted)
         counts.add(self._dropped)
         for sensor in (*self.earlier, *self.sensors):
@@ -332,17 +342,17 @@ class FrameStream:
             sensor.flush()
 
     def _learn_from(self, batch: ImuBatch) -> ImuBatch:
-        """Buffer the first samples until there are enough to learn from; return the others."""
+        """Buffer the first samples until enough are buffered; return the remaining samples."""
         stamps = [each.stamps_ns for each in (*self._buffer, batch[:LEARN])]
-        number = learned_from(np.concatenate(stamps))
-        take = min((number or LEARN) - self._buffered, len(batch))
-        self._buffer.append(batch[np.arange(take)])  # a copy
-        if self._buffered == number:
+        number_needed = learned_from(np.concatenate(stamps))
+        number_taken = min((number_needed or LEARN) - self._buffered, len(batch))
+        self._buffer.append(batch[np.arange(number_taken)])  # indices copy the samples
+        if self._buffered == number_needed:
             self._learn()
-        return batch[take:]
+        return batch[number_taken:]
 
     def _learn(self) -> None:
-        """Choose the stamps and the sensor streams from the buffered samples; process these."""
+        """Choose the stamps and the sensor streams from the buffered samples, and process them."""
         first, self._buffer = joined(self._buffer), []
         notes = self.stamps.learn(first)
         samples = self.stamps.of(first)
@@ -350,8 +360,8 @@ class FrameStream:
         self.notes += [note for note in (*notes, *findings) if note not in self.notes]
         self._sorter = StampSorter(samples.stamps_ns)
         self.sensors = tuple(SensorStream(plan, self.identity, *self._options) for plan in plans)
-        may_end = (*IDLE, *ABSENT, *UNTIMED)
-        self._faulty = tuple(note for note in self.notes if note.id in may_end)
+        ids_that_may_end = (*IDLE, *ABSENT, *UNTIMED)
+        self._faulty = tuple(note for note in self.notes if note.id in ids_that_may_end)
         self._feed(self._sorter.feed(samples))
 
     def _watch(self, batch: ImuBatch) -> ImuBatch:
@@ -360,12 +370,12 @@ class FrameStream:
         Returns the samples that are not processed or buffered yet.
         """
         buffered, self._buffer = joined([*self._buffer, batch], copy=True), []
-        for at in range(0, len(buffered) - CHECKED + 1, CHECKED):
-            group = buffered.part(slice(at, at + CHECKED))
+        for begin in range(0, len(buffered) - CHECKED + 1, CHECKED):
+            group = buffered.part(slice(begin, begin + CHECKED))
             if any(self._has_ended(note, group) for note in self._faulty):
-                self._feed(self._sorter.feed(self.stamps.of(buffered.part(slice(at)))))
+                self._feed(self._sorter.feed(self.stamps.of(buffered.part(slice(begin)))))
                 self._start_again(group)
-                return buffered.part(slice(at + CHECKED, None))
+                return buffered.part(slice(begin + CHECKED, None))
         processed = len(buffered) // CHECKED * CHECKED
         self._feed(self._sorter.feed(self.stamps.of(buffered.part(slice(processed)))))
         self._buffer = [buffered.part(slice(processed, None)).copy()]
@@ -376,10 +386,10 @@ class FrameStream:
         if note.id in UNTIMED:
             return are_ordered(samples)
         rows = samples.rows[[AXES.index(axis) for axis in note.axes]]
-        finite = np.abs(rows) <= LARGEST
+        is_finite = np.abs(rows) <= LARGEST
         if note.id in ABSENT:
-            return bool(finite.any(axis=0).mean() > 0.5)
-        usable = rows[:, finite.all(axis=0)]
+            return bool(is_finite.any(axis=0).mean() > 0.5)
+        usable = rows[:, is_finite.all(axis=0)]
         return bool(usable.size and idle_share(usable, usable.shape[1])[0] < STILL_IDLE)
 
     def _take_buffered(self) -> None:
@@ -388,7 +398,7 @@ class FrameStream:
         self._buffer = []
 
     def _start_again(self, samples: ImuBatch) -> None:
-        """End the present sensor streams, and begin to learn new ones from ``samples``."""
+        """End the present sensor streams, and learn new sensor streams from ``samples`` on."""
         self._feed(self._sorter.flush())
         for sensor in self.sensors:
             sensor.flush()
@@ -408,9 +418,9 @@ class FrameStream:
             self.first_ns = int(samples.stamps_ns[0])
         if self._skip_ns:
             is_used = samples.stamps_ns >= self.first_ns + self._skip_ns
-            start = int(np.argmax(is_used)) if is_used.any() else len(samples)
+            first_used = int(np.argmax(is_used)) if is_used.any() else len(samples)
             self._skip_ns *= not is_used.any()
-            self._skipped += start
-            samples = samples.part(slice(start, None))
+            self._skipped += first_used
+            samples = samples.part(slice(first_used, None))
         for sensor in self.sensors:
             sensor.feed(samples)

@@ -21,7 +21,7 @@ class WindowPart(NamedTuple):
     found: WindowClass
 
     def last(self, number: int) -> WindowPart:
-        """Return the last ``number`` windows, at most all windows."""
+        """Return the last ``number`` windows; there must be at least this number."""
         first = len(self.still) - number
         size = len(self.samples) // len(self.still)
         return WindowPart(
@@ -42,7 +42,7 @@ class RecentWindows:
         return sum(len(part.still) for part in self._parts)
 
     def with_part(self, part: WindowPart, most: int) -> RecentWindows:
-        """Return the last windows, at most ``most``, after ``part`` was appended."""
+        """Return the last ``most`` windows, or all windows, after ``part`` is appended."""
         return RecentWindows((*self._parts, part)).last(most)
 
     def last(self, number: int) -> RecentWindows:
@@ -94,9 +94,9 @@ class RecentWindows:
 
     @property
     def white_noise(self) -> Floats:
-        """Standard deviation of the differences of neighboring samples / sqrt(2), (axes,).
+        """Standard deviation of the white noise, (axes,), in the unit of the samples.
 
-        The values are in the unit of the samples.
+        It is the standard deviation of the differences of neighboring samples, divided by sqrt(2).
         """
         return np.asarray(np.sqrt(0.5 * np.mean(np.diff(self.rows, axis=1) ** 2, axis=1)))
 

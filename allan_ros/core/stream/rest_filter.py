@@ -3,7 +3,7 @@
 """Passes on the windows of an IMU at rest, excludes motions with a margin, and replaces shocks.
 
 A motion begins with a window above the limits of the noise floor, and ends after some windows below
-lower limits. Until it ends, the windows of a motion that may be a shock are held.
+lower limits. The windows of a motion that may be a shock are held until the motion ends.
 """
 
 from __future__ import annotations
@@ -65,8 +65,8 @@ class RestFilter:
 
     def take(self) -> list[ImuBatch]:
         """Return the samples that were confirmed to be at rest since the last call."""
-        out, self._out = self._out, []
-        return out
+        released, self._out = self._out, []
+        return released
 
     def add(
         self, block: ImuBatch, windows: Windows, size: int, only_at_rest: bool = False
@@ -78,10 +78,10 @@ class RestFilter:
         is returned if some of the windows are not at rest.
         """
         has_previous = np.isfinite(self._last_mean).all() and not block.cut
-        floor, before = self.floor, self._last_mean if has_previous else None
-        found = floor.classify(block.rows, windows, before, size)
-        at_rest = ~found.moving
-        all_at_rest = self.motion is None and bool(at_rest.all())
+        floor, previous_mean = self.floor, self._last_mean if has_previous else None
+        found = floor.classify(block.rows, windows, previous_mean, size)
+        is_at_rest = ~found.moving
+        all_at_rest = self.motion is None and bool(is_at_rest.all())
         if only_at_rest and not all_at_rest:
             return None
         if block.cut:
@@ -91,20 +91,20 @@ class RestFilter:
                 self.motion.before = self.motion.before[:0]
             self._cut = self._cut or block.cut
         if found.stuck.any():
-            stuck = floor.decreased(windows) & is_stuck(block.rows, size)
-            self.stuck |= stuck.any(axis=1)
+            is_axis_stuck = floor.decreased(windows) & is_stuck(block.rows, size)
+            self.stuck |= is_axis_stuck.any(axis=1)
         if all_at_rest:
             self._release(block, windows.mean, size)
         else:
-            for i in range(len(at_rest)):
+            for i in range(len(is_at_rest)):
                 window = block.part(slice(i * size, (i + 1) * size))
                 self._step(window, windows.mean[:, i], WindowClass(*(v[i] for v in found)))
-                at_rest[i] = self.motion is None
+                is_at_rest[i] = self.motion is None
         self._last_mean = windows.mean[:, -1]
-        return at_rest, found
+        return is_at_rest, found
 
     def end_segment(self) -> None:
-        """Decide about the windows that are held, because a gap follows."""
+        """Pass on or exclude the windows that are held, because a gap follows."""
         self.drop_shock()
         self._pass_held()
 
@@ -150,7 +150,7 @@ class RestFilter:
             self._events.add(seconds, Event(motion.kind, motion.began_ns, seconds, changed))
 
     def _step(self, window: ImuBatch, mean: Floats, found: WindowClass) -> None:
-        """Update the state from one window and its class, and keep it if it is at rest."""
+        """Update the state from one window and its class; pass on the window if it is at rest."""
         if self.motion is None and not found.moving:
             self._release(window, mean[:, None], len(window))
             return
@@ -170,7 +170,7 @@ class RestFilter:
         motion.add(window, mean, found)
         window_s = self._size * self._period_s
         margin_windows = max(LEAST_LEVEL, round(MARGIN_AFTER_S / window_s))
-        # not only at the end of the motion, because a changed bias of the gyro may prolong it
+        # tested before the motion ends, because a changed bias of the gyro may prolong the motion
         if motion.steady == margin_windows and motion.finds_other_axes(self.floor, self._period_s):
             self._splits['axes changed'] += 1
         if motion.windows - motion.quiet > int(LONGEST_SHOCK_S / window_s):
@@ -200,12 +200,12 @@ class RestFilter:
         """
         self._level.add(means, size)
         self._pass_held()
-        split = max(0, len(block) - MARGIN_BEFORE * self._size)
+        number_released = max(0, len(block) - MARGIN_BEFORE * self._size)
         cut, self._cut = self._cut, ''
-        if split:
-            self._pass_on([block.part(slice(split), cut)])
+        if number_released:
+            self._pass_on([block.part(slice(number_released), cut)])
             cut = ''
-        self._held = [block.part(slice(split, None), cut)]
+        self._held = [block.part(slice(number_released, None), cut)]
 
     def _pass_held(self) -> None:
         self._pass_on(self._held)

@@ -31,22 +31,22 @@ from .sensors import SensorPlan
 from .timing import SampleClock, has_time
 
 LARGE_RATE_CHANGE = 0.1
-"""Largest relative difference between the former period and the mean step of the first stamps after
-a possible change of the rate that may be due to bursts. Above it, the rate has changed. Below it,
-this is decided when the new period is learned."""
+"""After a possible change of the rate, the mean step of the first stamps is compared with the
+former period. If the relative difference exceeds this value, the rate has changed. A smaller
+difference may be due to bursts, and is judged when the new period is learned."""
 
 
 class SensorStream:
     """Computes the sums of axes that are sampled together, from their samples at rest.
 
-    The axes are all axes that the IMU has, or the axes of one sensor if the sensors have different
-    rates or only one sensor is used. The
-    stages are: `SampleFilter`, `SampleClock`, `RepeatFilter` (if the driver repeats samples at
-    random), `MotionGate`, and the sums of a `NoiseLevel`.
+    The axes are all axes of the IMU, or the axes of one sensor if the sensors have different rates
+    or only one sensor is used. The stages are: `SampleFilter`, `SampleClock`, `RepeatFilter` (if
+    the driver repeats samples at random), `MotionGate`, and the sums of a `NoiseLevel`.
+
     ``gate`` is None before the sample period is learned, or if motion detection is switched off.
-    ``recorder`` has the drives between two rests at the present sample rate. It is None if
-    ``with_drives`` is not set, if the stream does not have all six axes, or as long as ``gate`` is
-    None at the first sample rate.
+    ``recorder`` contains the drives between two rests at the present sample rate. It is None if
+    ``with_drives`` is not set, if the stream does not have all six axes, or before ``gate`` is set
+    for the first time.
     """
 
     def __init__(
@@ -64,9 +64,9 @@ class SensorStream:
         self._plan = plan
         self._former: StreamSums | None = None  # sums at the earlier rate with the most data
         self._settings = settings
-        self._counts = Counts()  # without the counts of the present levels
+        self._counts = Counts()  # counts of all samples that the present noise levels do not count
         self._lost, self._lost_s = 0, 0.0  # `lost` and `lost_s` at earlier rates
-        self._former_ns = 0.0  # sample period before a change of the rate, until this is confirmed
+        self._former_ns = 0.0  # sample period before a change of the rate that is not confirmed yet
         self._filter = SampleFilter(plan, self._counts)
         self._start_level = partial(NoiseLevel, identity, plan.axes, with_samples)
         self._start()
@@ -86,7 +86,7 @@ class SensorStream:
 
     @property
     def counts(self) -> Counts:
-        """Counts of all samples, by what became of them."""
+        """Counts of all used and excluded samples."""
         counts = replace(self._counts, splits=self._counts.splits.copy())
         counts.add(self._levels.counts)
         return counts
@@ -103,7 +103,7 @@ class SensorStream:
 
     @property
     def kept(self) -> list[ImuBatch]:
-        """The samples at rest, if they were requested."""
+        """The samples at rest; empty unless ``with_samples`` was set."""
         return self._levels.published.kept
 
     @property
@@ -134,10 +134,10 @@ class SensorStream:
         if former:
             with suppress(AllanError):  # raised if the rates differ
                 sums = former[0].sums + sums
-                longest = nlargest(
+                longest_segments = nlargest(
                     LISTED_SEGMENTS, [*former[0].segments, *segments], key=lambda each: each.samples
                 )
-                return [StreamSums(sums, tuple(sorted(longest)))]
+                return [StreamSums(sums, tuple(sorted(longest_segments)))]
         return [*former, StreamSums(sums, segments)]
 
     @property
@@ -151,7 +151,7 @@ class SensorStream:
         return self._means.means
 
     def feed(self, samples: ImuBatch) -> None:
-        """Process samples of the six-axis stream."""
+        """Process the next samples, which have six axes."""
         self._pass_on(self.clock.feed(self._filter.feed(samples)))
         while self.clock.rate_changed:
             self._pass_on(self._change_rate())
@@ -166,12 +166,14 @@ class SensorStream:
         self._end_segment()
 
     def _change_rate(self) -> list[ImuBatch]:
-        """Store the sums at the previous rate; return the blocks of the samples at the new one."""
+        """Store the sums at the former rate, and return the blocks of samples at the new rate."""
         assert self.clock.clock is not None
         self._end_segment()
         self._former_ns = self._former_ns or self.clock.clock.period_ns
-        known = self.by_rate()
-        self._former = max(known, key=lambda each: each.sums.elapsed_ns) if known else None
+        former_sums = self.by_rate()
+        self._former = (
+            max(former_sums, key=lambda each: each.sums.elapsed_ns) if former_sums else None
+        )
         self._counts.add(self._levels.counts)
         self._lost, self._lost_s = self.lost, self.lost_s
         pending = self.clock.pending
@@ -182,10 +184,10 @@ class SensorStream:
         return self.clock.feed(pending)
 
     def _compare_rate(self, period_ns: float, least: float, is_known: bool = True) -> None:
-        """Count a change of the rate, or of other properties of the stamps.
+        """Count a change of the rate, or a change of other properties of the stamps.
 
         The rate changed if the period differs from the former period by more than the fraction
-        ``least``. Otherwise, other properties changed, which is counted only if the rate is known.
+        ``least``. Otherwise, a change of other properties is counted if the new rate is known.
         """
         if abs(period_ns / self._former_ns - 1.0) > least:
             self._counts.splits['rate change'] += 1
@@ -198,13 +200,13 @@ class SensorStream:
     def _pass_on(self, blocks: list[ImuBatch], at_end: bool = False) -> None:
         """Pass evenly spaced blocks through the stages to the sums."""
         if blocks and self.gate is None and self._settings.motion_gate:
-            period, axes = self.clock.learned_ns, self._plan.axes
+            period_ns, axes = self.clock.learned_ns, self._plan.axes
             self.gate = MotionGate(
-                period, axes, self._levels, self._counts, self.events, self._settings
+                period_ns, axes, self._levels, self._counts, self.events, self._settings
             )
             self._stages.append(self.gate)
             if self._with_drives:
-                self.recorder = DriveRecorder(period * 1e-9)
+                self.recorder = DriveRecorder(period_ns * 1e-9)
         for stage in self._stages:
             if stage is self.gate and self.recorder is not None:
                 self.recorder.add_samples(blocks)

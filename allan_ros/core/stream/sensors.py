@@ -1,12 +1,12 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Decides which axes form a stream, and excludes or interpolates samples that were not measured.
+"""Decides which axes form a stream; finds samples that are not measured, clipped or interleaved.
 
 Repeated samples
 ----------------
 Drivers that publish a slower accelerometer in every gyro message repeat its last sample (sample and
 hold), or fill it with zeros. Both change the noise (N of a 250 Hz accelerometer repeated at 400 Hz
-is 5 % too high). So each such sensor becomes a separate stream that contains only its measurements.
+is 5 % too high). Each such sensor becomes a separate stream that contains only its measurements.
 Samples that a driver repeats at random, because the sensor had no new data, are interpolated.
 """
 
@@ -40,15 +40,15 @@ the first value, or less than the second fraction of the variance of a binomial 
 0.1 % of random repeats have a variance below this fraction."""
 
 TOGETHER_LOG_RATIO = 2.0 / 3.0
-"""Axes repeat (or are zero) together if log(p) / sum(log(p_i)) is smaller than this, where p is the
-share of samples in which all axes repeat and p_i the share in which axis i repeats. For three axes,
-the ratio is 1 if they repeat independently (coarse resolution), and 1/3 if they always repeat
-together."""
+"""Axes repeat (or are zero) together if log(p) / sum(log(p_i)) is smaller than this value. Here, p
+is the share of samples in which all axes repeat, and p_i the share in which axis i repeats. For
+three axes, the ratio is 1 if they repeat independently, as with a coarse resolution, and 1/3 if
+they always repeat together."""
 
 
 @dataclass(frozen=True)
 class SensorPlan:
-    """The axes of a sensor stream, and which of its samples to drop.
+    """The axes of a sensor stream, and which of its samples are excluded or interpolated.
 
     ``drop`` is 'repeated' for samples that repeat the previous sample on all axes, 'zero' for
     samples that are zero on all axes, or '' for no samples. ``random_repeats`` are groups of axes.
@@ -64,14 +64,14 @@ MIN_CLIPPED = 0.05
 """Smallest share of samples at the maximum or at the minimum that indicates clipping."""
 
 CLIPPED_RATIO, CLIPPED_VALUES = 3, 8
-"""Clipping requires that the maximum (or minimum) occurs at least this many times as often as the
-next value, and that the axis has at least the second number of different values. (At a coarse
-resolution, most samples of an unclipped axis have one of two values.)"""
+"""An axis is clipped if its maximum (or minimum) occurs at least the first number of times as often
+as the next value, and if it has at least the second number of different values. At a coarse
+resolution, most samples of an axis that is not clipped have one of two values."""
 
 
 ROUNDING_ERROR = 1e-9
-"""Values that differ by less than this fraction of the range of all values are regarded as equal,
-because the driver computed them with rounding errors."""
+"""Values that differ by less than this fraction of the range of all values are regarded as equal.
+They differ because the driver rounds its results."""
 
 
 def clipped_share(samples: Floats) -> float:
@@ -85,8 +85,8 @@ def clipped_share(samples: Floats) -> float:
     (0.0, 0.15)
     """
     samples = samples[np.abs(samples) <= LARGEST]
-    error = ROUNDING_ERROR * np.ptp(samples) if len(samples) else 0.0
-    values, counts = np.unique(np.round(samples / (error or 1.0)), return_counts=True)
+    resolution = ROUNDING_ERROR * np.ptp(samples) if len(samples) else 0.0
+    values, counts = np.unique(np.round(samples / (resolution or 1.0)), return_counts=True)
     if len(values) < CLIPPED_VALUES:
         return 0.0
     extremes = ((values[0], counts[0], counts[1]), (values[-1], counts[-1], counts[-2]))
@@ -121,7 +121,7 @@ def clipped_shares(rows: Floats) -> Floats:
 
 
 CLIPPED_CHUNK = 1024
-"""Number of samples in which `Clipping` looks for clipped values at a time."""
+"""Number of consecutive samples among which `Clipping` searches for clipped values at a time."""
 
 
 class Clipping:
@@ -147,10 +147,10 @@ class Clipping:
     def add(self, rows: Floats) -> None:
         """Add samples, (axes, n)."""
         while rows.shape[1]:
-            room = CLIPPED_CHUNK - self._filled
-            part, rows = rows[:, :room], rows[:, room:]
-            self._chunk[:, self._filled : self._filled + part.shape[1]] = part
-            self._filled += part.shape[1]
+            number_missing = CLIPPED_CHUNK - self._filled
+            next_rows, rows = rows[:, :number_missing], rows[:, number_missing:]
+            self._chunk[:, self._filled : self._filled + next_rows.shape[1]] = next_rows
+            self._filled += next_rows.shape[1]
             if self._filled == CLIPPED_CHUNK:
                 self._examine()
 
@@ -193,12 +193,12 @@ def are_interleaved(rows: Floats) -> bool:
     with np.errstate(invalid='ignore', divide='ignore'):
         rows = rows[:, :n] - rows[:, :n].mean(axis=1, keepdims=True)
         rows = np.round(rows / (ROUNDING_ERROR * np.ptp(rows, axis=1, keepdims=True)))
-        difference = np.abs(rows[:, ::2].sum(axis=1) - rows[:, 1::2].sum(axis=1))
+        differences = np.abs(rows[:, ::2].sum(axis=1) - rows[:, 1::2].sum(axis=1))
         sigma = np.sqrt(0.5 * n * np.mean((rows[:, 2:] - rows[:, :-2]) ** 2, axis=1))
         levels = np.diff(np.sort(rows))
         steps = np.where(levels > 0.0, levels, np.inf).min(axis=1)
         limits = np.maximum(ALTERNATE_SIGMAS * sigma, 0.5 * n * SEPARATION_STEPS * steps)
-        if np.count_nonzero(difference > limits) >= ALTERNATE_AXES:
+        if np.count_nonzero(differences > limits) >= ALTERNATE_AXES:
             return True
         for values in rows:
             ordered = np.sort(values)
@@ -219,14 +219,14 @@ def plan_sensors(first: ImuBatch, only: str = '') -> tuple[list[SensorPlan], lis
     Returns a plan for each stream, and the findings about the sensors. ``first`` has six axes, with
     NaN for an absent sensor. ``only`` is the sensor to use; '' for both.
     """
-    # do not count duplicate messages as repeats: they are excluded later
+    # duplicate messages do not count as repeats, because `SampleFilter` excludes them
     rows = first.rows
     is_duplicate = (np.diff(first.stamps_ns) == 0) & (rows[:, 1:] == rows[:, :-1]).all(axis=0)
     rows = rows[:, np.concatenate([[True], ~is_duplicate])]
     repeats = rows[:, 1:] == rows[:, :-1]
     findings: list[Finding] = []
-    used = [sensor for sensor in SENSORS if only in ('', sensor)]
-    plans = [p for sensor in used if (p := _plan_sensor(sensor, rows, repeats, findings))]
+    sensors = [sensor for sensor in SENSORS if only in ('', sensor)]
+    plans = [p for sensor in sensors if (p := _plan_sensor(sensor, rows, repeats, findings))]
     random_plans = [plan for plan in plans if plan.random_repeats]
     if random_plans:
         random_repeats = np.array([_all_repeat(plan, repeats) for plan in random_plans])
@@ -268,14 +268,14 @@ def _plan_sensor(
     sensor: str, rows: Floats, repeats: Flags, findings: list[Finding]
 ) -> SensorPlan | None:
     """Return the plan of one sensor, or None if it is absent; append to ``findings``."""
-    place = SENSORS[sensor]
-    axis_indices = np.arange(place.start, place.stop)
-    axis_indices = axis_indices[(np.abs(rows[place]) <= LARGEST).any(axis=1)]
+    sensor_slice = SENSORS[sensor]
+    axis_indices = np.arange(sensor_slice.start, sensor_slice.stop)
+    axis_indices = axis_indices[(np.abs(rows[sensor_slice]) <= LARGEST).any(axis=1)]
     if not len(axis_indices):
-        findings.append(finding('sensor_absent', AXES[place], sensor=sensor))
+        findings.append(finding('sensor_absent', AXES[sensor_slice], sensor=sensor))
         return None
     axes = tuple(AXES[i] for i in axis_indices)
-    if missing_axes := tuple(axis for axis in AXES[place] if axis not in axes):
+    if missing_axes := tuple(axis for axis in AXES[sensor_slice] if axis not in axes):
         findings.append(finding('axis_absent', missing_axes, count=rows.shape[1]))
     is_zero = rows[axis_indices] == 0.0
     if is_zero.all():
@@ -315,19 +315,19 @@ def _repeat_together(plans: list[SensorPlan], repeats: Flags) -> bool:
 def _are_repeated(values: Floats) -> bool:
     """Return whether samples, (axes, n), repeat the previous sample more often than by chance.
 
-    If all equal samples are in one part of the data, they are not repeats: this part has less
-    noise. How many samples are equal by chance is estimated from the samples that differ from the
-    previous sample, but equal the sample before it.
+    If all equal samples are in one part of the data, this part has less noise, and the samples are
+    not repeats. The number of samples that are equal by chance is estimated from the samples that
+    differ from the previous sample, but equal the sample before the previous sample.
     """
-    flags = values[:, 1:] == values[:, :-1]
-    is_repeat = flags.all(axis=0)
+    repeats_value = values[:, 1:] == values[:, :-1]
+    is_repeat = repeats_value.all(axis=0)
     share = float(is_repeat.mean()) if is_repeat.size else 0.0
     sequences = np.count_nonzero(is_repeat[1:] & ~is_repeat[:-1])
     if sequences < LEAST_REPEATS or _line_variance(is_repeat) > share * (1.0 - share) * len(
         is_repeat
     ):
         return False
-    if _coincide(flags):
+    if _coincide(repeats_value):
         return True
     chance_share = (values[:, 2:] == values[:, :-2]).all(axis=0)[~is_repeat[1:]].mean()
     return bool(chance_share <= CHANCE_SHARE * share)
@@ -336,8 +336,8 @@ def _are_repeated(values: Floats) -> bool:
 def _are_regular(repeats: Flags) -> bool:
     """Return whether the flagged repeats, (n,), come from a sensor with a lower, constant rate.
 
-    The repeats of such a sensor follow each other evenly. If a driver repeats samples at random
-    instead, new samples have the rate of the messages, and the repeats replace lost samples.
+    The repeats of such a sensor follow each other evenly. If a driver repeats samples at random,
+    the sensor has the rate of the messages, and the repeats replace lost samples.
     """
     share = float(repeats.mean())
     if not REGULAR_REPEATS <= share <= LARGEST_RANDOM_SHARE:
@@ -349,8 +349,8 @@ def _are_regular(repeats: Flags) -> bool:
 def _line_variance(flags: Flags) -> float:
     """Return the variance of the cumulative number of flags about a straight line.
 
-    For n independent flags of share p, it is n p (1 - p) times Watson's U^2, whose mean is 1/12
-    (G. S. Watson, Biometrika 48, 1961).
+    If each of n flags is set independently with probability p, this variance is n p (1 - p) times
+    Watson's U^2, whose mean is 1/12 (G. S. Watson, Biometrika 48, 1961).
     """
     return float(np.var(np.cumsum(flags - flags.mean())))
 
@@ -358,7 +358,7 @@ def _line_variance(flags: Flags) -> float:
 def _coincide(flags: Flags) -> bool:
     """Return whether the flags of the axes, (axes, n), coincide more often than by chance.
 
-    Returns False if all flags are set: then the values are constant, which is a different fault.
+    Returns False if all flags are set, because constant values are a different fault.
     """
     joint_share = float(flags.all(axis=0).mean()) if flags.size else 0.0
     if not REPEATED_SHARE < joint_share < 1.0:

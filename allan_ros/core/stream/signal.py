@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Summary of the raw signal for charts, in memory that does not depend on the recording length.
 
-`SignalEnvelope` keeps the range, mean and noise of the samples in each of up to 2048 bins, because
-a chart must show every shock. `SignalSummary` places all recordings on one time axis, with the
-times that are excluded and the reasons.
+`SignalEnvelope` stores the range, mean and noise of the samples in each of up to 2048 bins, so that
+a chart shows every shock. `SignalSummary` places all recordings on one time axis, with the excluded
+times and the reasons for their exclusion.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from .health import Event, Segment
 Floats = NDArray[np.float64]
 
 MAX_BINS = 2048
-"""Largest number of bins, more than the pixels of a chart. When all are full, pairs of bins are
-joined."""
+"""Largest number of bins, which exceeds the width of a chart in pixels. When all bins are full,
+pairs of bins are joined."""
 
 
 BIN_STATISTICS: dict[str, Any] = {
@@ -42,8 +42,8 @@ number of samples; sum of squared differences of successive samples, and number 
 class SignalEnvelope:
     """Range, mean and noise of every axis in bins of equal sample count, in constant memory.
 
-    The result does not depend on the size of the batches. NaN is ignored; a bin with only NaN is
-    NaN.
+    The result does not depend on the size of the batches. NaN is ignored; the range of a bin that
+    contains only NaN is NaN.
     """
 
     def __init__(self) -> None:
@@ -56,8 +56,8 @@ class SignalEnvelope:
     def update(self, batch: ImuBatch) -> None:
         """Add the next samples."""
         while len(batch):
-            room = MAX_BINS * self._step - self._samples
-            if not room:
+            number_free = MAX_BINS * self._step - self._samples
+            if not number_free:
                 half = MAX_BINS // 2
                 for name, join in BIN_STATISTICS.items():
                     values = self._bins[name]
@@ -65,15 +65,15 @@ class SignalEnvelope:
                 self._start_ns[:half] = self._start_ns[::2]
                 self._step *= 2
                 continue
-            self._add_to_bins(batch[:room])
-            batch = batch[room:]
+            self._add_to_bins(batch[:number_free])
+            batch = batch[number_free:]
 
     def with_accel(self, other: SignalEnvelope) -> SignalEnvelope:
         """Return a copy with the accelerometer of another topic, in the bins of this envelope."""
         joined = deepcopy(self)
         accel = slice(len(AXES) // 2, None)
-        # a bin joins the bins of the other topic from the one in which it begins, up to the one in
-        # which the next bin begins
+        # a bin gets the bins of the other topic from the bin in which it begins to the bin in which
+        # the next bin begins
         starts = np.searchsorted(other.start_ns[1:], self.start_ns).clip(max=other.bins - 1)
         starts[:1] = 0
         for name, join in BIN_STATISTICS.items():
@@ -96,9 +96,9 @@ class SignalEnvelope:
 
     @property
     def start_ns(self) -> NDArray[np.int64]:
-        """Stamp of the first sample of each bin, (bins,).
+        """Stamp of the first sample of each bin, (bins,), in ns.
 
-        This is the header stamp, or the record time if header stamps do not advance.
+        It is the header stamp, or the record time if the header stamps do not advance.
         """
         header, record = self._start_ns[: self.bins].T
         stamps: NDArray[np.int64] = header if np.ptp(header) > 0 else record
@@ -106,7 +106,7 @@ class SignalEnvelope:
 
     @property
     def time_s(self) -> NDArray[np.float64]:
-        """Start of each bin in s since the first sample, (bins,), never decreasing."""
+        """Start of each bin, (bins,), in s since the first sample; it never decreases."""
         stamps = self.start_ns.astype(float)  # int64 may overflow when subtracted
         return np.asarray(np.maximum.accumulate((stamps - stamps[:1]) * 1e-9), float)
 
@@ -114,16 +114,19 @@ class SignalEnvelope:
         first = self._samples
         bins = (first + np.arange(len(batch))) // self._step
         starts = np.flatnonzero(np.diff(bins, prepend=-1))
-        # values that no IMU measures are excluded here and in the sums
+        # values that no IMU measures are excluded, as from the Allan sums
         samples = np.where(np.abs(batch.samples) <= LARGEST, batch.samples, np.nan)
         squares = np.diff(np.concatenate([self._last, samples]), axis=0) ** 2
         self._last = samples[-1:]
         statistics = {'low': samples, 'high': samples}
-        for number, sum_of, values in (('count', 'total', samples), ('pairs', 'square', squares)):
+        for name_of_number, name_of_sum, values in (
+            ('count', 'total', samples),
+            ('pairs', 'square', squares),
+        ):
             is_finite = np.isfinite(values)
             statistics |= {
-                sum_of: np.where(is_finite, values, 0.0),
-                number: is_finite.astype(float),
+                name_of_sum: np.where(is_finite, values, 0.0),
+                name_of_number: is_finite.astype(float),
             }
         record = batch.stamps_ns if batch.record_ns is None else batch.record_ns
         start_ns = np.stack([batch.stamps_ns[starts], record[starts]], axis=1)
@@ -156,21 +159,21 @@ class TemperatureTrace:
     """Temperature readings of one sensor in a recording."""
 
     source: str  # topic or column
-    header_ns: NDArray[np.int64]  # times of measurement, (n,)
-    record_ns: NDArray[np.int64]  # times of recording, equal to header_ns if there is one clock
-    celsius: Floats  # degC, (n,)
+    header_ns: NDArray[np.int64]  # (n,) times of measurement
+    record_ns: NDArray[np.int64]  # (n,) times of recording; header_ns if the source has no others
+    celsius: Floats  # (n,) temperatures in degC
 
 
 def trace_of(source: str, readings: Iterable[tuple[int, int, float]]) -> TemperatureTrace | None:
     """Return the plausible readings of a temperature sensor; None if no reading is plausible.
 
-    ``source`` is the topic or column of the readings, and a reading is (header stamp in
-    ns, record time in ns, degC). If most readings are above `HOTTEST_IMU`, they are in K.
+    ``source`` is the topic or column of the readings, and a reading is (header stamp in ns, record
+    time in ns, degC). If most readings are above `HOTTEST_IMU`, all are converted from K to degC.
     """
-    valid = [r for r in readings if ABSOLUTE_ZERO < r[2] < HOTTEST]  # also false for NaN
-    if not valid:
+    plausible = [r for r in readings if ABSOLUTE_ZERO < r[2] < HOTTEST]  # NaN is not in the range
+    if not plausible:
         return None
-    header, record, values = zip(*valid)
+    header, record, values = zip(*plausible)
     celsius = np.array(values, float)
     if np.median(celsius) > HOTTEST_IMU:
         celsius += ABSOLUTE_ZERO
@@ -210,7 +213,7 @@ class Decimated(Generic[Item]):
 
 
 GAP_BINS = 3.0
-"""If a bin lasts longer than this number of median durations, it contains a gap."""
+"""A bin contains a gap if it lasts longer than this number of median durations of a bin."""
 
 
 class Excluded(NamedTuple):
@@ -228,24 +231,24 @@ class Excluded(NamedTuple):
 class SignalTemperature:
     """Temperature over the time axis of a `SignalSummary`; NaN separates recordings."""
 
-    source: str  # topic or column; several if recordings differ
-    time_s: Floats  # s, (n,)
-    celsius: Floats  # degC, (n,)
+    source: str  # topic or column; several names if the recordings have different sources
+    time_s: Floats  # (n,) times in s on the time axis of the summary
+    celsius: Floats  # (n,) temperatures in degC
 
 
 @dataclass(frozen=True)
 class SignalSummary:
     """Signals of all recordings, one directly after the other on a common time axis."""
 
-    time_s: Floats  # start of each bin in s since the first sample of the first recording, (bins,)
-    # lowest sample, SI, (bins, 6); NaN at the start of a recording or without the sensor
+    time_s: Floats  # (bins,) start of each bin in s since the first sample of the first recording
+    # (bins, 6) lowest sample in SI; NaN at the start of each further recording, or without a sensor
     low: Floats
-    high: Floats
-    mean: Floats  # SI, (bins, 6)
-    # standard deviation of the differences of successive samples / sqrt(2), SI, (bins, 6)
+    high: Floats  # (bins, 6) highest sample in SI; NaN like `low`
+    mean: Floats  # (bins, 6) mean of the samples in SI
+    # (bins, 6) standard deviation of the differences of successive samples / sqrt(2), in SI
     noise: Floats
-    used: NDArray[np.bool_]  # whether all samples of the bin are used, (bins,)
-    middle: Floats  # median of the signal, SI, (6,)
+    used: NDArray[np.bool_]  # (bins,) whether all samples of the bin are used
+    middle: Floats  # (6,) median of (low + high) / 2, in SI
     excluded: tuple[Excluded, ...]
     gaps: tuple[tuple[float, float], ...]  # (start, end) in s of times without samples
     starts: tuple[float, ...]  # start of each recording in s
@@ -253,9 +256,9 @@ class SignalSummary:
 
     @property
     def reach(self) -> Floats:
-        """Largest distance from ``middle`` in the used bins, (6,), SI; 1 for an absent axis.
+        """Largest distance of a sample from ``middle`` in the used bins, (6,), in SI.
 
-        If no bin is used, this is the largest distance in all bins.
+        If no bin is used, it is the largest distance in all bins. It is 1 for an absent axis.
         """
         sizes = np.fmax(np.abs(self.low - self.middle), np.abs(self.high - self.middle))
         for rows in (sizes[self.used], sizes):
@@ -274,10 +277,10 @@ def summarize_signal(
 ) -> SignalSummary | None:
     """Return the summary of all recordings in about ``bins`` bins.
 
-    ``signals`` are the signals of the recordings, and ``temperatures``, for each recording, the
-    temperature or None. ``segments`` are the used parts of all recordings. ``events`` are the
-    shocks in these parts, and the reasons why other parts are not used. Returns None if no
-    recording has two bins.
+    ``signals`` are the signals of the recordings. ``temperatures`` contains the temperature or None
+    for each recording. ``segments`` are the used parts of all recordings. ``events`` are the shocks
+    in these parts, and the reasons why other parts are not used. Returns None if no recording has
+    two bins.
     """
     temperatures = temperatures or [None] * len(signals)
     recordings = [(s, t) for s, t in zip(signals, temperatures) if s.bins > 1]
@@ -315,32 +318,32 @@ def _recording(
     offset: float,
 ) -> tuple[SignalSummary, float]:
     """Return the summary of one recording that begins at ``offset``, and its length in s."""
-    starts = np.arange(0, signal.bins, step)  # first bin of each group of bins
-    time = signal.time_s[starts]
+    starts = np.arange(0, signal.bins, step)  # index of the first bin of each group of bins
+    times = signal.time_s[starts]
     statistics = signal.statistics(step)
     low, high = statistics['low'], statistics['high']
     with np.errstate(invalid='ignore', divide='ignore'):
         mean = statistics['total'] / statistics['count']
         noise = np.sqrt(statistics['square'] / (2.0 * statistics['pairs']))
-    steps = np.diff(time)
-    usual = float(np.median(steps))
-    length = float(time[-1] + usual)
-    # bins of equal sample count that last far longer than the others
-    gap_bins = np.flatnonzero(steps > GAP_BINS * usual)
-    gaps = [(float(time[i] + usual), float(time[i + 1])) for i in gap_bins]
+    steps = np.diff(times)
+    median_step = float(np.median(steps))
+    length = float(times[-1] + median_step)
+    # all bins have the same number of samples, so that a much longer bin contains a gap
+    gap_bins = np.flatnonzero(steps > GAP_BINS * median_step)
+    gaps = [(float(times[i] + median_step), float(times[i + 1])) for i in gap_bins]
     first_ns = int(signal.start_ns[0])
     excluded = list(_excluded(_times(segments, first_ns, length), gaps, length))
     for event in events:
         for start, end in _times([event], first_ns, length):
             excluded = _marked(excluded, Excluded(start, end, event.kind))
-    used = np.ones(len(time), bool)
-    for out in excluded:
-        used &= (time >= out.end) | (np.append(time[1:], length) <= out.start)
+    used = np.ones(len(times), bool)
+    for period in excluded:
+        used &= (times >= period.end) | (np.append(times[1:], length) <= period.start)
     if offset:
-        low[0] = high[0] = np.nan  # a chart has no line from the previous recording
+        low[0] = high[0] = np.nan  # NaN separates the lines of two recordings in a chart
     shortest = 1e-3 * length  # shorter periods are narrower than a line of a chart
     summary = SignalSummary(
-        time + offset,
+        times + offset,
         low,
         high,
         mean,
@@ -348,9 +351,9 @@ def _recording(
         used,
         np.empty(0),
         tuple(
-            Excluded(out.start + offset, out.end + offset, out.why)
-            for out in excluded
-            if out.why or out.end - out.start > shortest
+            Excluded(period.start + offset, period.end + offset, period.why)
+            for period in excluded
+            if period.why or period.end - period.start > shortest
         ),
         tuple((start + offset, end + offset) for start, end in gaps if end - start > shortest),
         (offset,),
@@ -363,49 +366,52 @@ def _times(
     items: Sequence[Segment | Event], first_ns: int, length: float
 ) -> list[tuple[float, float]]:
     starts = [(item.start_ns - first_ns) * 1e-9 for item in items]
-    times = [(start, start + item.duration_s) for start, item in zip(starts, items)]
-    return [(start, end) for start, end in times if start < length and end > 0.0]
+    periods = [(start, start + item.duration_s) for start, item in zip(starts, items)]
+    return [(start, end) for start, end in periods if start < length and end > 0.0]
 
 
 def _excluded(
     used: Sequence[tuple[float, float]], holes: Sequence[tuple[float, float]], length: float
 ) -> Iterator[Excluded]:
-    """Yield the periods of one recording that are neither in a segment nor in a gap."""
-    before = 0.0
+    """Yield the periods of one recording that are neither used nor in a gap (``holes``).
+
+    No period is yielded if nothing is used.
+    """
+    previous_end = 0.0
     for start, end in sorted([*used, *holes, (length, length)]) if used else ():
-        if start > before:
-            yield Excluded(before, start)
-        before = max(before, end)
+        if start > previous_end:
+            yield Excluded(previous_end, start)
+        previous_end = max(previous_end, end)
 
 
 def _marked(excluded: list[Excluded], event: Excluded) -> list[Excluded]:
-    """Return the excluded periods with the kind of an event; a shock is added as a period."""
+    """Return the excluded periods with the kind of an event; a shock is added as a new period."""
     if event.why == 'shock':
         return [*excluded, event]
     start, end = event.start, event.end
     return [
-        out._replace(why=event.why)
-        if out.why != 'shock' and out.start < end and start < out.end
-        else out
-        for out in excluded
+        period._replace(why=event.why)
+        if period.why != 'shock' and period.start < end and start < period.end
+        else period
+        for period in excluded
     ]
 
 
 def _temperature(
     trace: TemperatureTrace, first_ns: int, length: float, offset: float
 ) -> SignalTemperature | None:
-    """Return the readings during one recording; None for fewer than two.
+    """Return the temperature during one recording; None if there are fewer than two readings.
 
-    The header times are used, or the record times if fewer than two header times are within the
+    The header stamps are used, or the record times if fewer than two header stamps are within the
     recording.
     """
     for stamps in (trace.header_ns, trace.record_ns):
-        time = np.asarray((stamps - first_ns) * 1e-9, float)
-        inside = (time >= 0.0) & (time <= length)
-        if inside.sum() > 1:
-            order = np.argsort(time[inside], kind='stable')
-            celsius = trace.celsius[inside][order]
-            return SignalTemperature(trace.source, time[inside][order] + offset, celsius)
+        times = np.asarray((stamps - first_ns) * 1e-9, float)
+        is_inside = (times >= 0.0) & (times <= length)
+        if is_inside.sum() > 1:
+            order = np.argsort(times[is_inside], kind='stable')
+            celsius = trace.celsius[is_inside][order]
+            return SignalTemperature(trace.source, times[is_inside][order] + offset, celsius)
     return None
 
 

@@ -6,10 +6,10 @@ Lost and late samples
 ---------------------
 An IMU samples evenly, but its stamps scatter. After a pause of several periods, the samples were
 either lost, or are late and follow in a burst. The delay of a sample is its stamp minus its index
-times the period. Lost samples increase the smallest delay, late samples do not. So the smallest
-delays before and after the pause are compared, over a fixed number of samples.
+times the period. Lost samples increase the smallest delay, but late samples do not. Therefore, the
+smallest delays before and after the pause are compared, over a fixed number of samples.
 
-All decisions are made for blocks counted from the first sample, so they do not depend on how the
+All decisions are made for blocks counted from the first sample. They do not depend on how the
 samples are divided into batches.
 """
 
@@ -30,18 +30,18 @@ from .sensors import are_interleaved
 Ints = NDArray[np.int64]
 
 LEARN_S, LEAST_LEARN, LEARN = 11.0, 256, 1024
-"""Time in s, and smallest and largest number of samples, from which a stream is learned. At 95 Hz
-and above, the largest number is used."""
+"""Time in s, and smallest and largest number of samples, from which the sample period is learned.
+At 93 Hz and above, the largest number is used."""
 
 CLOCK_BLOCK = 256
-"""Number of samples that are processed together."""
+"""Number of samples in a block. A change of the rate is searched for in each block."""
 
 LOOK_AHEAD = 64
 """Number of samples before and after a pause whose delays are compared if stamps are regular."""
 
 BURST_LOOK_AHEAD_S, BURST_LOOK_AHEAD = 4.0, 1 << 18
-"""The look-ahead for bursty stamps: time in s, and largest number of samples. This number is
-reached at 65 kHz (15 MB)."""
+"""Time in s, and largest number of samples, before and after a pause whose delays are compared if
+stamps are bursty. The largest number is reached at 65 kHz (15 MB)."""
 
 BURST_PAUSE_S = 0.25
 """If stamps are bursty, samples may have been lost only in a pause of at least this time in s that
@@ -70,12 +70,12 @@ step by at most the second fraction of the median step, and if almost all other 
 `POLLED_SHARE`) are longer than `LATE` median steps."""
 
 UNEVEN = 2.0
-"""Ratio of the largest to the smallest mean step, each over a run and the pause before it, above
-which the samples are not late. Late samples have the same mean step in each burst."""
+"""If the mean steps, each over a run and the pause before it, differ by more than this factor, the
+samples are not late. Late samples have the same mean step in each burst."""
 
 DECLARED_RANGE = 0.25
-"""Largest relative difference between the declared rate and the mean rate of bursty stamps at which
-the declared rate is used."""
+"""The declared rate is used for bursty stamps if the mean rate differs from it by less than this
+fraction."""
 
 MANY, EXACT = 0.2, 0.15
 """Samples are missing regularly if at least the first share of the steps is one sample period, and
@@ -86,14 +86,14 @@ JITTER_SHARE = 0.01
 """Stamps have jitter if more than this share of the steps is shorter than half the period."""
 
 PERIOD_RANGE, PERIOD_TRACKING = 0.05, 0.003
-"""Relative range in which `rayleigh_period` searches: when the period is learned, and when it is
-updated."""
+"""Largest relative change of the period by `rayleigh_period` when the period is learned, and when
+it is updated."""
 
 PHASE_GAP = 16.0
 """Longest pause, in periods, after which the phase of the samples is assumed to continue."""
 
 PHASE_STEP = 0.25
-"""Phase difference between two tried periods, in cycles over all stamps."""
+"""Difference between neighboring periods that are tried, as a phase in cycles over all stamps."""
 
 
 @dataclass(frozen=True)
@@ -108,7 +108,7 @@ class Clock:
     step_ns: float
     bursty: bool
     jitter: bool = False
-    # step between two stamps without a missing sample, if samples are missing regularly; else 0
+    # period in ns without missing samples, if samples are missing regularly; else 0
     base_ns: float = 0.0
 
     @property
@@ -122,8 +122,8 @@ class Clock:
     @property
     def pause_ns(self) -> float:
         """Step between two stamps, in ns, above which samples may have been lost."""
-        late = LATE * self.period_ns
-        return max(late, BURST_PAUSE_S * 1e9) if self.bursty else late
+        late_ns = LATE * self.period_ns
+        return max(late_ns, BURST_PAUSE_S * 1e9) if self.bursty else late_ns
 
     @property
     def smallest_loss(self) -> float:
@@ -132,14 +132,16 @@ class Clock:
 
 
 def learned_from(stamps: Stamps) -> int:
-    """Return from how many stamps in ns, (n,), a stream is learned; 0 if there are too few stamps.
+    """Return the number of first stamps from which the period is learned; 0 for too few stamps.
+
+    ``stamps``, (n,), are the stamps received so far in ns.
 
     >>> import numpy as np
     >>> [learned_from(np.arange(2000) * 10**9 // rate) for rate in (20, 50, 100, 1000)]
     [256, 551, 1024, 1024]
     """
-    late = np.flatnonzero(stamps[:LEARN] - stamps[:1] >= LEARN_S * 1e9)
-    number = max(int(late[0]) + 1, LEAST_LEARN) if len(late) else LEARN
+    end_indices = np.flatnonzero(stamps[:LEARN] - stamps[:1] >= LEARN_S * 1e9)
+    number = max(int(end_indices[0]) + 1, LEAST_LEARN) if len(end_indices) else LEARN
     return number if len(stamps) >= number else 0
 
 
@@ -173,9 +175,9 @@ def has_time(stamps: Stamps) -> bool:
 def _period_of_runs(step: Floats) -> float:
     """Return the period of evenly stamped runs with pauses between them, or 0 for late samples.
 
-    If a logger records in runs with gaps between them, the steps in each run show the period. If
-    samples arrive late together, the steps in a burst do not show the period: the bursts are short,
-    and a burst with the pause before it has the correct mean step.
+    If a logger records in runs with gaps between them, the steps in each run are the period. If
+    samples arrive late together, the steps in a burst are not the period. Such bursts are short,
+    and the mean step over a burst and the pause before it is the period.
     """
     median = float(np.median(step))
     is_near_median = np.abs(step - median) <= EVEN * median
@@ -194,7 +196,8 @@ def _period_of_runs(step: Floats) -> float:
 def _common_step(step: Floats) -> float:
     """Return the shortest step if samples are missing regularly, else 0.
 
-    ``step``, (n,), are the steps. Almost all are multiples of the shortest, and many are longer.
+    Samples are missing regularly if almost all steps in ``step``, (n,), are multiples of the
+    shortest step, and many steps are longer.
     """
     shortest = float(np.sort(step)[int(MANY * len(step))])
     near_shortest = step[np.abs(step - shortest) <= EXACT * shortest]
@@ -212,7 +215,7 @@ def _clock_of(step: Floats, stamps: Stamps, polled: bool, declared: float) -> Cl
     used for bursty stamps.
     """
     size = max(1, min(CLOCK_BLOCK, len(step) // 4))
-    # one long gap does not change the median of block means
+    # a median of means over groups, which one long gap does not change
     mean = float(np.median(step[: len(step) // size * size].reshape(-1, size).mean(axis=1)))
     mean = mean or float(step.mean())
     median = float(np.median(step))
@@ -260,24 +263,25 @@ TRACK_BLOCKS = 16
 """Number of blocks after which the estimated period is updated."""
 
 RATE_CHANGE_STEP = 1.45
-"""Ratio of the median step of a block to the median step learned at the start above which the rate
-has changed. Single losses do not change the median."""
+"""The rate has changed if the median step of a block exceeds the median step of the first stamps by
+more than this factor. Single losses do not change the median."""
 
 RATE_CHANGE_BURSTY = 0.10
-"""Relative change of the period over `TRACK_BLOCKS` above which a bursty stream has a new rate."""
+"""Relative change of the period over `TRACK_BLOCKS` blocks above which a bursty stream has a new
+rate."""
 
 BRIDGED_SHARE = 0.5
-"""Largest ratio of interpolated to received samples in a block; above it, the data are split."""
+"""The data are split instead of interpolated if the interpolated samples of a block would exceed
+this fraction of its received samples."""
 
 
 class SampleClock:
     """Converts samples to evenly spaced blocks; at most one block and the look-ahead are buffered.
 
     ``clock`` is None until the period is learned from the first samples. Later, the period is
-    updated from the stamps, which decrease only where the clock was set back. ``polled``
-    tells whether a slower sensor is polled, as in `learn_clock`. ``counts`` is changed in place.
-    Once ``rate_changed`` is set, `pending` contains the samples from the change on, and no more
-    samples are accepted.
+    updated from the stamps, which decrease only where the clock was set back. ``polled`` tells
+    whether a slower sensor is polled, as in `learn_clock`. ``counts`` is changed in place. When the
+    rate changes, ``rate_changed`` is set, and `pending` contains the samples from the change on.
     """
 
     def __init__(
@@ -291,22 +295,23 @@ class SampleClock:
         self._settings = settings
         self._polled = polled
         self._counts = counts
-        self._reach = 0  # look-ahead of the clock
-        self._samples = ImuBatch.empty(axes)  # buffered samples
-        self._past = 0  # number of buffered samples that are already processed, at most `_reach`
+        self._reach = 0  # `Clock.look_ahead` of the present clock
+        self._samples = ImuBatch.empty(axes)  # samples that are buffered
+        # number of buffered samples that are already processed, at most `_reach`
+        self._processed = 0
         self._steps: Ints = np.empty(0, np.int64)  # index steps of the last processed samples
         self._blocks = 0  # number of processed blocks
         # whether the mean step of the last block differed from the period of the clock
         self._other_period = False
-        # stamps since the period was updated, or None after a gap; without jitter, only the first
-        # and the last stamp of each batch
+        # stamps since the last update of the period, or None after a gap; without jitter, only the
+        # first and the last stamp of each batch
         self._tracked: list[Stamps] | None = None
         self._tracked_steps = 0  # sum of the index steps between these stamps
 
     @property
     def pending(self) -> ImuBatch:
         """Samples that are not processed yet."""
-        return self._samples.part(slice(self._past, None))
+        return self._samples.part(slice(self._processed, None))
 
     def feed(self, samples: ImuBatch) -> list[ImuBatch]:
         """Add samples, and return the blocks whose look-ahead is complete."""
@@ -317,8 +322,8 @@ class SampleClock:
 
     def flush(self) -> list[ImuBatch]:
         """Return the blocks of all buffered samples at the end of the input."""
-        while self.clock is None and (have := len(self._samples)):
-            self._learn(learned_from(self._samples.stamps_ns) or have)
+        while self.clock is None and (number_buffered := len(self._samples)):
+            self._learn(learned_from(self._samples.stamps_ns) or number_buffered)
         return self._process_ready(0)
 
     def _learn(self, number: int) -> None:
@@ -330,43 +335,43 @@ class SampleClock:
             number_untimed = len(first)
         if self.clock is None:
             self._counts.untimed += number_untimed
-            self._past = number_untimed
+            self._processed = number_untimed
             self._release()
         else:
             first_rows = self._samples.rows[:, :number]
             self.is_interleaved = not self._polled and are_interleaved(first_rows)
-            if self.is_interleaved:  # with jitter instead of bursts, the end is found sooner
+            if self.is_interleaved:  # with jitter, the end of the second IMU is found sooner
                 period_ns = self.clock.period_ns
                 self.clock = replace(self.clock, step_ns=period_ns, bursty=False, jitter=True)
             self.learned_ns, self._reach = self.clock.period_ns, self.clock.look_ahead
 
     def _process_ready(self, look_ahead: int) -> list[ImuBatch]:
         """Process complete blocks before the look-ahead, or all samples if the look-ahead is 0."""
-        begin, steps = self._past, [np.empty(0, np.int64)]
+        begin, steps = self._processed, [np.empty(0, np.int64)]
         while self.clock is not None and not self.rate_changed:
-            ready = len(self._samples) - self._past - look_ahead
-            room = (TRACK_BLOCKS - self._blocks % TRACK_BLOCKS) * CLOCK_BLOCK
-            n = min(ready - ready % CLOCK_BLOCK if look_ahead else ready, room)
-            if n < 1:
+            ready = len(self._samples) - self._processed - look_ahead
+            number_to_update = (TRACK_BLOCKS - self._blocks % TRACK_BLOCKS) * CLOCK_BLOCK
+            number = min(ready - ready % CLOCK_BLOCK if look_ahead else ready, number_to_update)
+            if number < 1:
                 break
-            steps.append(self._process(n, self.clock))
+            steps.append(self._process(number, self.clock))
         blocks = self._blocks_of(begin, np.concatenate(steps))
         self._release()
         return blocks
 
     def _release(self) -> None:
-        """Drop processed samples that are not needed to detect a later gap."""
-        old = max(0, self._past - self._reach)
-        self._samples = self._samples.part(slice(old, None)).copy()
-        self._past -= old
+        """Remove the processed samples that are not needed to detect a later gap."""
+        number_removed = max(0, self._processed - self._reach)
+        self._samples = self._samples.part(slice(number_removed, None)).copy()
+        self._processed -= number_removed
 
     def _process(self, n: int, clock: Clock) -> Ints:
         """Detect gaps and a change of the rate in the next n samples.
 
-        Returns the steps of the sample index up to a change of the rate: above 1 where samples are
-        interpolated, 0 where the data are split.
+        Returns the steps of the sample index up to a change of the rate, (k,): above 1 where
+        samples are interpolated, and 0 where the data are split.
         """
-        begin, stamps = self._past, self._samples.stamps_ns
+        begin, stamps = self._processed, self._samples.stamps_ns
         if begin:
             step = stamps[begin : begin + n] - stamps[begin - 1 : begin + n - 1]
         else:
@@ -388,14 +393,14 @@ class SampleClock:
         if unchanged:
             self._track(stamps[begin : begin + unchanged], steps, clock)
             self._steps = np.concatenate([self._steps, steps])[-self._reach :]
-            self._past += unchanged
+            self._processed += unchanged
         return steps
 
     def _find_gaps(self, step: Stamps, clock: Clock) -> tuple[Ints, Flags]:
         """Return how many samples were lost before each of the next n samples, and where to split.
 
-        ``step``, (n,), are the steps of the stamps in ns. The data are not split at short gaps,
-        which are interpolated.
+        ``step``, (n,), are the steps of the stamps in ns. Both results have this shape. The data
+        are not split at short gaps, which are interpolated.
         """
         lost, split = np.zeros(len(step), np.int64), step < 0
         interpolated: Counter[int] = Counter()  # number of interpolated samples of each clock block
@@ -444,21 +449,22 @@ class SampleClock:
 
         ``steps``, (j,), are the index steps of the next j samples; the pause follows them.
         """
-        at = self._past + len(steps)  # the first sample after the pause
-        if at == 0:
+        begin = self._processed + len(steps)  # the first sample after the pause
+        if begin == 0:
             return 0
         steps = np.concatenate([self._steps, steps])[-self._reach :]
-        index = np.cumsum(steps[int(np.argmax(np.cumsum(steps == 0))) :])  # since the last gap
+        # index of each sample after the last gap
+        index = np.cumsum(steps[int(np.argmax(np.cumsum(steps == 0))) :])
         stamps = self._samples.stamps_ns
-        after = stamps[at : at + self._reach]
-        jumps = np.flatnonzero(np.diff(after) < 0)
-        after = after[: int(jumps[0]) + 1 if len(jumps) else None]
-        period, origin = clock.period_ns, stamps[at - 1]
-        delay = (stamps[at - len(index) : at] - origin) - period * (index - index[-1])
-        # delays if no sample was lost in the pause
-        delay_after = (after - origin) - period * np.arange(1, len(after) + 1)
-        increase = (float(delay_after.min()) - float(delay.min())) / period
-        pause = (stamps[at] - origin) / period - 1.0
+        stamps_after = stamps[begin : begin + self._reach]
+        jumps = np.flatnonzero(np.diff(stamps_after) < 0)
+        stamps_after = stamps_after[: int(jumps[0]) + 1 if len(jumps) else None]
+        period, origin = clock.period_ns, stamps[begin - 1]
+        delay_before = (stamps[begin - len(index) : begin] - origin) - period * (index - index[-1])
+        # delays of the samples after the pause, if no sample was lost in the pause
+        delay_after = (stamps_after - origin) - period * np.arange(1, len(stamps_after) + 1)
+        increase = (float(delay_after.min()) - float(delay_before.min())) / period
+        pause = (stamps[begin] - origin) / period - 1.0
         return round(increase) if increase > max(0.5 * pause, clock.smallest_loss) else 0
 
     def _blocks_of(self, begin: int, steps: Ints) -> list[ImuBatch]:
@@ -468,13 +474,13 @@ class SampleClock:
         """
         n = len(steps)
         samples = self._samples.part(slice(begin, begin + n))
-        groups: list[list[ImuBatch]] = []  # a list for each block, with the parts to be joined
+        groups: list[list[ImuBatch]] = []  # for each block, the parts that are joined
         edges = sorted({0, *np.flatnonzero(steps != 1).tolist(), n})
         for first, last in itertools.pairwise(edges):
             cut = ''
             if steps[first] == 0:
-                before, here = self._samples.stamps_ns[begin + first - 1 : begin + first + 1]
-                cut = 'clock jump' if here < before else 'gap'
+                stamp_before, stamp = self._samples.stamps_ns[begin + first - 1 : begin + first + 1]
+                cut = 'clock jump' if stamp < stamp_before else 'gap'
             if cut or not groups:
                 groups.append([])
             if steps[first] > 1:
@@ -482,17 +488,20 @@ class SampleClock:
             groups[-1].append(samples.part(slice(first, last), cut))
         return [joined(parts) for parts in groups]
 
-    def _interpolated(self, at: int, step: int) -> ImuBatch:
-        """Return the step - 1 samples lost before the sample at buffer position ``at``."""
+    def _interpolated(self, position: int, step: int) -> ImuBatch:
+        """Return the step - 1 samples lost before the sample at buffer ``position``."""
         fraction = np.arange(1, step) / step
-        first, last = self._samples.stamps_ns[at - 1 : at + 1]
+        first, last = self._samples.stamps_ns[position - 1 : position + 1]
         stamps = first + np.rint(fraction * (last - first)).astype(np.int64)
-        left, right = self._samples.rows[:, at - 1, None], self._samples.rows[:, at, None]
-        rows = left + fraction * (right - left)
+        row_before, row_after = (
+            self._samples.rows[:, position - 1, None],
+            self._samples.rows[:, position, None],
+        )
+        rows = row_before + fraction * (row_after - row_before)
         return ImuBatch.of_rows(stamps, rows, filled=np.ones(rows.shape, np.int32))
 
     def _track(self, stamps: Stamps, steps: Ints, clock: Clock) -> None:
-        """Update the sample period after every `TRACK_BLOCKS` blocks unless the data were split."""
+        """Update the sample period after `TRACK_BLOCKS` blocks in which the data were not split."""
         if self._blocks % TRACK_BLOCKS == 0:
             self._tracked, self._tracked_steps = [], -int(steps[0])
         self._blocks += -(-len(stamps) // CLOCK_BLOCK)

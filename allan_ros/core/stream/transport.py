@@ -28,11 +28,11 @@ from .health import StreamHealth, event_findings, events
 from .timing import LEARN
 
 LATELY_S = 20.0
-"""Time in s for which an event is reported."""
+"""Time in s after an event for which the event is reported."""
 
 LATELY = f' in the last {LATELY_S:g} s'
 UNTIL_NOW = f'{LATELY} until now'
-"""Texts for `LATELY_S` in findings: about past events, and about events that still occur."""
+"""Texts for the times of events in findings: of past events, and of events that still occur."""
 
 REPORTED_LOST_SHARE = 1e-3
 """Smallest share of messages lost in transport that is reported."""
@@ -41,7 +41,7 @@ PRESENT_S = 3.0
 """An event is a present fault for this time in s after its last occurrence, then a past event."""
 
 STEP_S = 0.2
-"""Smallest step in s by which the clock of the stamps was set that is reported."""
+"""Smallest step in s of the clock of the stamps that is reported."""
 
 SILENCE_S = 1.0
 """Shortest time in s without messages that is reported as an interruption."""
@@ -50,19 +50,20 @@ ENVELOPE_S = 5.0
 """Time in s over which the smallest delay between stamp and reception is determined."""
 
 LIVE_PACE = 0.2
-"""Largest relative difference between the speeds of the stamps and of the times of reception at
-which the input is regarded as live. If a recording is played at another speed, steps of the clock
-cannot be distinguished from gaps."""
+"""An input is regarded as live if the speeds of its stamps and of its times of reception differ by
+at most this fraction. If a recording is played at another speed, steps of the clock cannot be
+distinguished from gaps."""
 
 CAUSES_OF_LOSS = ('messages_lost', 'silent_s', 'stamps_leapt', 'frame_changed', 'dropped')
 """Keys of the counts of events that are known to cause missing samples."""
 
 EXCUSED = 10
-"""Number of observations with usable samples, after an event of `CAUSES_OF_LOSS`, for which this
-event explains missing samples."""
+"""An event of `CAUSES_OF_LOSS` explains missing samples in this number of the next calls of
+`TransportMonitor.observe` with usable samples."""
 
 STARTUP_S = 5.0
-"""Missing messages are not reported during the first seconds, because discovery takes time."""
+"""Time in s after the start during which missing messages are not reported, because the discovery
+of publishers takes time."""
 
 STUCK_S, STUCK_RUNS = 1.0, 20
 """An axis is stuck if its value has not changed for this time in s, and for this many times the
@@ -75,12 +76,12 @@ class TransportStatistics:
     """Numbers of received, lost and unusable messages of a subscription."""
 
     received: int = 0
-    sent_before: int = 0  # sent before the first received message, and perhaps lost
+    sent_before: int = 0  # messages sent before the first received message, and perhaps lost
     skipped_numbers: int = 0  # missing sequence numbers of the publishers
-    reported_lost: int = 0  # losses reported by the middleware
+    reported_lost: int = 0  # lost messages that the middleware reported
     malformed: int = 0  # received messages that are not Imu messages
-    interruptions: int = 0  # times at least `SILENCE_S` long in which nothing was sent
-    silent_s: float = 0.0  # sum of these times
+    interruptions: int = 0  # pauses of at least `SILENCE_S` in which no message was sent
+    silent_s: float = 0.0  # total duration of the interruptions
     leapt_s: float = 0.0  # sum of the steps by which the clock of the stamps was set forward
 
     @property
@@ -90,10 +91,11 @@ class TransportStatistics:
 
 
 class Arrivals:
-    """Finds interruptions and forward steps of the clock of the stamps, and counts them.
+    """Counts interruptions, and forward steps of the clock that makes the stamps.
 
-    Stamp minus time of reception is the offset of the clock minus the delay of a message. Its
-    maximum over a few seconds changes only if the clock is set. ``statistics`` is updated.
+    The stamp of a message minus its time of reception is the offset of the clock minus the delay
+    of the message. The maximum of this difference over a few seconds changes only if the clock is
+    set. ``statistics`` is updated.
     """
 
     def __init__(self, statistics: TransportStatistics) -> None:
@@ -125,12 +127,12 @@ class Arrivals:
             self._latest = stamp if was_set_back else max(stamp, latest), received
 
     def _judge(self, stamp: float, received_s: float, lost: int) -> None:
-        """Count the cause of a gap in the stamps before a message."""
+        """Count the interruption or the step of the clock that explains a gap in the stamps."""
         assert self._latest is not None
         silent_s = received_s - self._latest[1]
-        began, offset = self._offsets[0]
-        lasted = self._latest[1] - began
-        if lasted > 1.0 and abs(self._offsets[-1][1] - offset) > LIVE_PACE * lasted:
+        first_received_s, offset = self._offsets[0]
+        duration_s = self._latest[1] - first_received_s
+        if duration_s > 1.0 and abs(self._offsets[-1][1] - offset) > LIVE_PACE * duration_s:
             return
         step = stamp - received_s - max(offset for _, offset in self._offsets)
         if step > STEP_S:
@@ -147,7 +149,8 @@ class ConstantAxes:
     def __init__(self) -> None:
         self._last = np.full(len(AXES), np.nan)
         self._run = np.zeros(len(AXES), np.int64)  # number of equal values up to the latest sample
-        self._longest = np.zeros(len(AXES), np.int64)  # longest ended run without a fault
+        # number of equal values in the longest earlier run that was no fault
+        self._longest = np.zeros(len(AXES), np.int64)
 
     def update(self, samples: NDArray[np.float64]) -> None:
         """Process the next samples, (n, 6), in any unit."""
@@ -158,21 +161,21 @@ class ConstantAxes:
                 runs = runs[0 if np.isfinite(self._last[i]) else 1 :]
                 longest = int(self._longest[i])
                 for run in runs[runs > longest].tolist():
-                    if run <= STUCK_RUNS * (longest or run):  # else the axis was stuck
+                    if run <= STUCK_RUNS * (longest or run):  # in a longer run, the axis was stuck
                         longest = max(longest, run)
                 self._longest[i], self._run[i] = longest, 0
             self._run[i] += len(column) - (changes[-1] if len(changes) else 0)
         self._last = samples[-1].copy()
 
     def stuck(self, rate_hz: float) -> tuple[str, ...]:
-        """Return the axes that are stuck, if the sample rate is ``rate_hz``."""
-        needed = np.maximum(STUCK_S * rate_hz, STUCK_RUNS * self._longest)
-        stuck = (self._longest > 0) & (self._run > needed) & np.isfinite(self._last)
-        return tuple(AXES[i] for i in np.flatnonzero(stuck))
+        """Return the axes that are stuck; ``rate_hz`` is the sample rate."""
+        least_run = np.maximum(STUCK_S * rate_hz, STUCK_RUNS * self._longest)
+        is_stuck = (self._longest > 0) & (self._run > least_run) & np.isfinite(self._last)
+        return tuple(AXES[i] for i in np.flatnonzero(is_stuck))
 
 
 def faults_of(findings: Iterable[Finding], axis: str = '') -> tuple[Finding, ...]:
-    """Return the findings with an `UNUSABLE` id, about all axes or the given ``axis``."""
+    """Return the findings with an `UNUSABLE` id that concern all axes or the given ``axis``."""
     return tuple(
         f for f in findings if f.id in UNUSABLE and (not (axis and f.axes) or axis in f.axes)
     )
@@ -181,8 +184,7 @@ def faults_of(findings: Iterable[Finding], axis: str = '') -> tuple[Finding, ...
 class TransportMonitor:
     """Reports the current problems of the live input ``topic``.
 
-    The argument ``time_s`` is the time of a steady clock in s; in the constructor, the time of the
-    start.
+    ``time_s`` is the time of a steady clock in s. In the constructor, it is the time of the start.
     """
 
     def __init__(self, topic: str, time_s: float) -> None:
@@ -196,12 +198,12 @@ class TransportMonitor:
         self._absent = 0  # number of these samples that are reported as missing
 
     def set_received(self, time_s: float, messages: int) -> None:
-        """Store the number of messages received since the start, and when it last increased."""
+        """Store the number of messages since the start, and the time when it last increased."""
         if messages != self._messages:
             self._last_message, self._messages = time_s, messages
 
     def silence_s(self, time_s: float) -> float:
-        """Return the time since the last message (or since the start) in s."""
+        """Return the time in s since the last message, or since the start if there is none."""
         return time_s - self._last_message
 
     def observe(
@@ -216,17 +218,17 @@ class TransportMonitor:
     ) -> tuple[Finding, ...]:
         """Return the current findings, the most severe first; call it about once a second.
 
-        ``transport`` and ``health`` hold the counts since the start. ``publishers`` are the names
-        of the publishing nodes. Without a message for ``stale_after`` s, an error is reported.
+        ``transport`` and ``health`` contain the counts since the start. ``publishers`` are the
+        names of the publishing nodes. After ``stale_after`` s without a message, this is reported.
         ``stream`` are the findings about the complete stream. ``graph`` are findings about
         publishers with an incompatible type or QoS; they are reported instead of missing messages.
         """
         self._update(time_s, transport, health)
         present = [*graph] or self._silence(time_s, transport, publishers, stale_after)
         if len(publishers) > 1:
-            names, count = ', '.join(publishers), len(publishers)
+            publisher_names, count = ', '.join(publishers), len(publishers)
             present.append(
-                finding('several_publishers', count=count, topic=self._topic, names=names)
+                finding('several_publishers', count=count, topic=self._topic, names=publisher_names)
             )
         if health.frame_id != health.sums_frame_id:
             shown = health.sums_frame_id
@@ -240,7 +242,7 @@ class TransportMonitor:
         present += health.faults
         present += [f for f in stream if f.id in live and f.id not in known_ids]
         events, past = self._recent_findings(health)
-        # present findings first: a past event must not hide a present fault
+        # present findings come first, because a past event must not hide a present fault
         return *by_consequence([*events, *present]), *by_consequence(past)
 
     def _update(self, time_s: float, transport: TransportStatistics, health: StreamHealth) -> None:
@@ -248,24 +250,24 @@ class TransportMonitor:
         self.set_received(time_s, transport.received)
         usable = c.received - c.not_finite - c.duplicate - c.backward - c.untimed
         if health.rate_hz is None and c.received > 2 * LEARN:
-            usable = self._usable  # no sensor has usable values: all are NaN, infinite or 0
-        progress = usable != self._usable
-        if progress:
+            usable = self._usable  # all values are NaN, infinite or 0, and therefore not usable
+        has_progress = usable != self._usable
+        if has_progress:
             self._last_usable, self._usable = time_s, usable
         counts = Counter(received=transport.received, messages_lost=transport.lost)
         counts.update(interrupted=transport.interruptions)
         counts.update(silent_s=transport.silent_s, stamps_leapt=transport.leapt_s)  # type: ignore
         if c.received < self._samples:
-            # a new pass: the counts of the stream start at 0, the counts of the transport continue
+            # in a new pass, the counts of the stream start at 0, but the transport counts continue
             self._unexplained = self._absent = 0
             self._history = deque([(time_s, counts.copy())])
         self._samples = c.received
-        before = self._history[-1][1] if self._history else Counter()
-        # the counts of a result contain the buffered samples, the counts between two results do not
-        counts.update({id: max(count, before[id]) for id, count in events(health).items()})
+        previous = self._history[-1][1] if self._history else Counter()
+        # counts may decrease, because only the counts of a result contain the buffered samples
+        counts.update({id: max(count, previous[id]) for id, count in events(health).items()})
         counts.update(missing=c.lost, dropped=c.not_finite + c.backward)
         counts.update(spikes=c.spikes, used=c.used)
-        self._count_unexplained(_more(counts, before), progress)
+        self._count_unexplained(_more(counts, previous), has_progress)
         counts.update(samples_missing=self._absent)
         self._history.append((time_s, counts))
         while len(self._history) > 2 and self._history[1][0] <= time_s - LATELY_S:
@@ -281,9 +283,9 @@ class TransportMonitor:
         if any(more[cause] for cause in CAUSES_OF_LOSS):
             self._excused = EXCUSED
         if not self._excused:
-            before, self._unexplained = self._unexplained, self._unexplained + more['missing']
-            # the latest samples may still be found not to be missing: use the smaller of two counts
-            self._absent = max(self._absent, min(self._unexplained, before))
+            previous, self._unexplained = self._unexplained, self._unexplained + more['missing']
+            # the smaller of two counts, because the latest samples may turn out not to be missing
+            self._absent = max(self._absent, min(self._unexplained, previous))
         elif progress:
             self._excused -= 1
 
@@ -296,18 +298,18 @@ class TransportMonitor:
     ) -> list[Finding]:
         """Return the finding about missing or unusable messages, if there is one."""
         topic, seconds = self._topic, self.silence_s(time_s)
-        starting = not transport.received and time_s - self._began < STARTUP_S
+        is_starting = not transport.received and time_s - self._began < STARTUP_S
         if seconds > stale_after:
-            if starting:
+            if is_starting:
                 return []
             if count := len(publishers):
                 return [finding('input_silent', topic=topic, seconds=seconds, publishers=count)]
             if transport.received:
                 return [finding('input_stopped', topic=topic, seconds=seconds)]
             return [finding('no_publisher', topic=topic)]
-        unusable = time_s - self._last_usable
-        if transport.received and unusable > stale_after:
-            return [finding('input_unusable', topic=topic, seconds=unusable)]
+        unusable_s = time_s - self._last_usable
+        if transport.received and unusable_s > stale_after:
+            return [finding('input_unusable', topic=topic, seconds=unusable_s)]
         return []
 
     def _recent_findings(self, health: StreamHealth) -> tuple[list[Finding], list[Finding]]:
@@ -317,34 +319,36 @@ class TransportMonitor:
         """
         time_s, counts = self._history[-1]
         oldest_counts = self._history[0][1]
-        earlier_counts = [old for then, old in self._history if then <= time_s - PRESENT_S] or [
-            oldest_counts
-        ]
+        earlier_counts = [
+            former_counts
+            for time_of_counts, former_counts in self._history
+            if time_of_counts <= time_s - PRESENT_S
+        ] or [oldest_counts]
         recent_counts = _more(counts, oldest_counts)
         present_counts = _more(counts, earlier_counts[-1])
-        # backward samples that were excluded because the clock was set back are not reported
+        # samples that were excluded until the clock was found to be set back are not reported
         recent_counts['backward_stamps'] -= (BACKWARD_RUN - 1) * recent_counts['clock_jumps']
-        found = event_findings(recent_counts, health, LATELY)
+        findings = event_findings(recent_counts, health, LATELY)
         if recent_counts['stamps_leapt'] > 0:
-            found.insert(0, finding('stamps_leapt', seconds=recent_counts['stamps_leapt']))
+            findings.insert(0, finding('stamps_leapt', seconds=recent_counts['stamps_leapt']))
         if times := recent_counts['interrupted']:
-            found.append(finding('interrupted', times=times, seconds=recent_counts['silent_s']))
+            findings.append(finding('interrupted', times=times, seconds=recent_counts['silent_s']))
         if (spikes := recent_counts['spikes']) > 0:
             share = spikes / max(recent_counts['used'], 1)
-            found.append(finding('spikes', count=spikes, share=share, when=LATELY))
+            findings.append(finding('spikes', count=spikes, share=share, when=LATELY))
         received, lost = recent_counts['received'], recent_counts['messages_lost']
         absent = recent_counts['samples_missing']
         if lost and lost >= REPORTED_LOST_SHARE * (received + lost):
-            found.append(finding('messages_lost', lost=lost, share=lost / (received + lost)))
+            findings.append(finding('messages_lost', lost=lost, share=lost / (received + lost)))
         # after a change to a lower rate, samples seem to be missing until the rate is learned
         if (
             absent >= REPORTED_LOST_SHARE * (received + absent) > 0
             and not recent_counts['rate_changed']
         ):
             share = absent / (received + absent)
-            found.append(finding('samples_missing', count=absent, share=share))
-        past = [f for f in found if not present_counts[f.id] > 0]
-        return [_until_now(f) for f in found if f not in past], past
+            findings.append(finding('samples_missing', count=absent, share=share))
+        past = [f for f in findings if not present_counts[f.id] > 0]
+        return [_until_now(f) for f in findings if f not in past], past
 
 
 def _until_now(event: Finding) -> Finding:
@@ -356,6 +360,6 @@ def _until_now(event: Finding) -> Finding:
 
 def _more(counts: Counter[str], before: Counter[str]) -> Counter[str]:
     """Return by how much each count has increased since ``before``."""
-    more = counts.copy()
-    more.subtract(before)
-    return more
+    increase = counts.copy()
+    increase.subtract(before)
+    return increase
