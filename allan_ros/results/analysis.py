@@ -116,7 +116,7 @@ def analyze_recorded(
     Raises
     ------
     AllanError
-        When there are too few data.
+        When there are too few data at rest.
     """
     skip = recorded.provenance.settings.get('skip', AUTO)
     may_exclude = isinstance(skip, (int, float)) and skip < 0.0
@@ -127,8 +127,8 @@ def analyze_recorded(
     axes = dict(_axis_results(zip(recorded.sums, curves, fits)))
     time_ns, celsius = recorded.temperature_readings()
     for complete_sums in recorded.sums:
-        white = {axis: axes[axis].fit.noise['N'].value for axis in complete_sums.axes}
-        rests = at_rest(complete_sums, time_ns, celsius, white)
+        white_noise = {axis: axes[axis].fit.noise['N'].value for axis in complete_sums.axes}
+        rests = at_rest(complete_sums, time_ns, celsius, white_noise)
         axes |= {axis: replace(axes[axis], at_rest=rest) for axis, rest in rests.items()}
     temperature_findings: list[Finding] = []
     if len(celsius) > 1:
@@ -193,7 +193,7 @@ def analyze_sums(
     Raises
     ------
     AllanError
-        When there are too few data.
+        When there are too few data at rest.
     """
     return analyze_recorded(RecordingSums('', tuple(sums), provenance), method)
 

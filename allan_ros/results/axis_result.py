@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Results of one axis (`AxisResult`), and the functions `adev` and `fit`."""
+"""Results of one axis (`AxisResult`), and functions for single curves (`adev` and `fit`)."""
 
 from __future__ import annotations
 

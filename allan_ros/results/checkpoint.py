@@ -52,14 +52,14 @@ class Checkpoint:
     log : object
         Logger with the methods ``info`` and ``warning``.
     words : function
-        Returns the text of a finding for the log.
+        Function that returns the text of a finding for the log.
 
     Attributes
     ----------
     earlier : (sums, provenance)
         Content of the file when the present run began: the sums of all earlier runs.
     loaded : Finding or None
-        The problem that was found when the file was loaded.
+        Finding about a problem of the file when it was loaded; None without a problem.
     refused : Finding or None
         The reason why the file cannot be replaced at present.
     """
@@ -86,17 +86,17 @@ class Checkpoint:
 
     @property
     def covered(self) -> tuple[tuple[int, int], ...]:
-        """First and latest stamp in ns of the samples in the file, as one pair.
+        """A pair with the first and the latest stamp, in ns, of the samples in the file.
 
-        Empty if the file contains no samples.
+        The tuple is empty if the file contains no samples.
         """
         sums, provenance = self.earlier
-        starts_ns = [p.begin_ns for each in sums for r in each.recordings for p in r.periods]
+        starts_ns = [p.begin_ns for s in sums for r in s.recordings for p in r.periods]
         ends_ns = [s.start_ns + round(s.duration_s * 1e9) for s in provenance.segments]
-        last = max(ends_ns, default=provenance.last_stamp_ns)
-        if not starts_ns or last is None:
+        last_ns = max(ends_ns, default=provenance.last_stamp_ns)
+        if not starts_ns or last_ns is None:
             return ()
-        return ((min(starts_ns), max(last, provenance.last_stamp_ns or last)),)
+        return ((min(starts_ns), max(last_ns, provenance.last_stamp_ns or last_ns)),)
 
     @property
     def findings(self) -> tuple[Finding, ...]:
@@ -114,8 +114,8 @@ class Checkpoint:
     def total(self, sums: tuple[AllanSums, ...], provenance: Provenance) -> Total:
         """Return the sums of all runs, given the sums and the provenance of this run.
 
-        Only the sums of this run are returned if the file is of another IMU, has other axes, cannot
-        be read, or is used by another node.
+        Only the sums of this run are returned if the file is of another IMU, has other axes or
+        another unit of measurement, cannot be read, or is used by another node.
         """
         self._has_new_samples = bool(sums)
         if sums and _has_wrong_unit(self.earlier[0]) and not _has_wrong_unit(sums):
@@ -140,7 +140,7 @@ class Checkpoint:
         return total, replace(total_provenance, sources=sources, findings=provenance.findings)
 
     def save(self, total: Total) -> bool:
-        """Write the total to the file if it contains new samples.
+        """Write the total to the file if the total contains new samples.
 
         Returns whether the file contains the total.
         """
@@ -283,7 +283,7 @@ class Checkpoint:
         return not owner
 
     def _writable(self) -> bool:
-        """Return whether this node may write the file; lock it if this was impossible before."""
+        """Return whether this node may write the file; lock the file if it is not locked yet."""
         return self._owned and self.refused is None and self._locked(on_error=False)
 
     def _write(self, total: Total) -> None:
@@ -318,4 +318,4 @@ class Checkpoint:
 
 def _has_wrong_unit(sums: tuple[AllanSums, ...]) -> bool:
     """Return whether the noise or the mean of a sensor is impossible in SI units."""
-    return any(unit_findings(each) for each in sums)
+    return any(unit_findings(one_sensor) for one_sensor in sums)

@@ -42,7 +42,7 @@ class CommonResult:
     def document(self) -> dict[str, Any]:
         """Return the result as a JSON object of the schema ``allan_ros/common/1``, in SI."""
         finding_objects = {
-            label: [plain(each) for each in findings] for label, findings in self.findings.items()
+            label: [plain(f) for f in findings] for label, findings in self.findings.items()
         }
         return {
             'schema': 'allan_ros/common/1',
@@ -89,7 +89,7 @@ def common_of(recordings: Mapping[str, Recording], settings: SegmenterSettings) 
             )
             findings[label] = tuple(dict.fromkeys((*findings.get(label, ()), *relevant_findings)))
             samples_of_imus[-1].update(
-                {axis: Samples(*each) for axis, each in stream.samples().items()}
+                {axis: Samples(*pair) for axis, pair in stream.samples().items()}
             )
     rows: list[CommonNoise] = []
     labels = list(recordings)

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Compare recordings with each other and with datasheets, and motors on with motors off."""
+"""Compare recordings with each other and with datasheets, also with motors off and motors on."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class RunComparison:
     differences : mapping of label to tuple of Check
         Comparisons with the first recording, for each of the other recordings.
     checked : tuple of (label, Results)
-        Results of each recording, once for each datasheet with which they are compared.
+        Results of each recording, compared with a datasheet; one pair for each datasheet.
     family_error : float
         Probability of at least one significant difference if all recordings have equal noise.
     within : float

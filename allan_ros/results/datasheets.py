@@ -323,7 +323,7 @@ def load_sensor(name: str) -> Datasheet:
     fields = _file(name)
     if 'carries' not in fields:
         return _datasheet(fields)
-    # a product has the figures of its sensor, and the sources of both files
+    # a product, such as a camera, has the figures of its sensor and the sources of both files
     fields.schema(SCHEMA)
     fields.only('schema', 'name', 'maker', 'remark', 'sources', 'carries')
     with located(f'{fields.where}.carries'):
@@ -381,8 +381,8 @@ def _limits(fields: Fields, sensor: str, sources: Collection[str]) -> dict[str, 
     walk, units = ('arw' if sensor == 'gyro' else 'vrw'), SI_UNITS[sensor]
     fields.only(walk, 'noise_density', 'bias_instability')
     limits = {}
-    # A random walk takes precedence over a noise density. It is N itself, whereas a density may be
-    # one- or two-sided.
+    # A random walk takes precedence over a noise density, because the random walk is N itself,
+    # whereas a density may be one- or two-sided.
     for key, term, meaning in (
         ('noise_density', 'N', 'sided'),
         (walk, 'N', ''),

@@ -92,7 +92,7 @@ def results_to_document(results: Results, curves: bool = True) -> dict[str, Any]
         'duration_s': plain(results.duration_s),
         'segment_count': results.segments,
         **_provenance_to_document(results.provenance),
-        'findings': [each.document() for each in results.findings],
+        'findings': [f.document() for f in results.findings],
         'datasheet': None
         if results.datasheet is None
         else sheet_to_document(results.datasheet, results.datasheet_checks, results.margin),
@@ -144,7 +144,7 @@ def sums_file_to_document(sums: Iterable[AllanSums], provenance: Provenance) -> 
         'tool': TOOL,
         **_provenance_to_document(provenance),
         'last_stamp_ns': provenance.last_stamp_ns,
-        'findings': [each.document() for each in provenance.findings],
+        'findings': [f.document() for f in provenance.findings],
         'sums': [sums_to_document(s) for s in sums],
     }
 
@@ -181,16 +181,18 @@ def load(path: str | os.PathLike[str], method: str = 'likelihood') -> Results:
     of different analyses.
     """
     expect(PATH, 'a path', path=path)
-    place = Path(path)
-    if place.is_dir():
-        has_results = (place / RESULTS).is_file() or not (place / SUMS).is_file()
-        place = Path(file_in(path, RESULTS if has_results else SUMS))
-    document: Any = read_json(place)
+    document_path = Path(path)
+    if document_path.is_dir():
+        has_results = (document_path / RESULTS).is_file() or not (document_path / SUMS).is_file()
+        document_path = Path(file_in(path, RESULTS if has_results else SUMS))
+    document: Any = read_json(document_path)
     if isinstance(document, dict) and document.get('schema') == SUMS_SCHEMA:
-        recorded = RecordingSums(str(place), *sums_file_from_document(document, str(place)))
+        recorded = RecordingSums(
+            str(document_path), *sums_file_from_document(document, str(document_path))
+        )
         return analyze_recorded(recorded, method)
-    results = results_from_document(document, str(place))
-    file = place.parent / SUMS
+    results = results_from_document(document, str(document_path))
+    file = document_path.parent / SUMS
     if not Path(path).is_dir() or not file.is_file():
         return results
     sums: Any = read_json(file)
@@ -209,8 +211,8 @@ def load_sums(path: str | os.PathLike[str]) -> RecordingSums:
 
     Raises AllanError when the file is missing or invalid.
     """
-    place = file_in(path, SUMS)
-    return RecordingSums(place, *sums_file_from_document(read_json(place), place))
+    sums_path = file_in(path, SUMS)
+    return RecordingSums(sums_path, *sums_file_from_document(read_json(sums_path), sums_path))
 
 
 def file_in(path: str | os.PathLike[str], name: str) -> str:
@@ -258,7 +260,7 @@ def _provenance_from_document(fields: Fields) -> Provenance:
     return Provenance(
         fields.typed('source', tuple[SourceInfo, ...]),
         fields.typed('segments', tuple[Segment, ...]),
-        tuple(finding_from_document(each) for each in fields.each('findings')),
+        tuple(map(finding_from_document, fields.each('findings'))),
         fields.fields('counts').record(Counts, splits=split_counts),
         _settings_from_document(fields.fields('settings')),
         fields.typed('last_stamp_ns', SignedInt | None),
@@ -291,7 +293,7 @@ def finding_from_document(fields: Fields) -> Finding:
 def _value_from_document(fields: Fields, name: str) -> Any:
     value = fields.value(name)
     if isinstance(value, list):
-        return tuple(_quantity_from_document(each) for each in fields.each(name))
+        return tuple(map(_quantity_from_document, fields.each(name)))
     if isinstance(value, dict):
         return _quantity_from_document(fields.fields(name))
     return fields.number(name) if isinstance(value, float) else value

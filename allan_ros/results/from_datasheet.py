@@ -20,7 +20,7 @@ from .measured import known_factors
 from .results import Results
 
 FROM_DATASHEET = 'datasheet'
-"""`Results.method` of results that come from a datasheet."""
+"""Value of `Results.method` for results that are computed from a datasheet."""
 
 DEFAULT_RATE_HZ = 200.0
 """Sample rate in Hz in files for an IMU that was not measured, unless the user states a rate."""

@@ -25,10 +25,10 @@ TRUTH = 'truth'
 
 def is_truth(path: str | os.PathLike[str]) -> bool:
     """Return whether the file at a path is a truth file, judged by its name and schema."""
-    place = Path(path)
-    if not (place.name == 'truth.json' or place.name.endswith(TRUTH_SUFFIX)):
+    file_path = Path(path)
+    if not (file_path.name == 'truth.json' or file_path.name.endswith(TRUTH_SUFFIX)):
         return False
-    document = read_yaml(place)
+    document = read_yaml(file_path)
     return isinstance(document, dict) and document.get('schema') == TRUTH_SCHEMA
 
 

@@ -21,7 +21,7 @@ CATALOGUE_UNITS = {('gyro', 'N'): 'deg/sqrt(h)', ('accel', 'N'): 'ug/sqrt(Hz)'}
 """(Sensor, term) -> unit in the list ``measured``, where it differs from `DATASHEET_UNITS`."""
 
 CHANGE_WORDS: dict[Judgement, str] = {'alike': 'typical', 'higher': 'noisier', 'lower': 'quieter'}
-"""Verdict of a comparison with other IMUs of the model -> its text."""
+"""Verdict of a comparison with other IMUs of the same model -> word for it in texts."""
 
 
 def measured_values(results: Results) -> dict[tuple[str, str], Estimate]:
@@ -49,9 +49,9 @@ def measured_values(results: Results) -> dict[tuple[str, str], Estimate]:
     return estimates
 
 
-def _texts(kind: str, term: str, *values: float, digits: int = 3) -> tuple[str, ...]:
-    """Return values of a term, given in SI, as texts in datasheet units, followed by the unit."""
-    unit = CATALOGUE_UNITS.get((kind, term), DATASHEET_UNITS[kind][term])
+def _texts(sensor: str, term: str, *values: float, digits: int = 3) -> tuple[str, ...]:
+    """Return values of a term, in SI, as texts in the datasheet unit, then the unit itself."""
+    unit = CATALOGUE_UNITS.get((sensor, term), DATASHEET_UNITS[sensor][term])
     return *(significant(value / UNITS[unit].factor, digits) for value in values), unit
 
 

@@ -33,8 +33,9 @@ MOVING = 0.1
 states that the noise in motion could not be measured."""
 
 EXPLAINED = 0.7
-"""A finding names calibration errors as the cause of errors in motion if they explain many of these
-errors: `SensorInMotion.explained` must be below this share of `SensorInMotion.factor`."""
+"""A finding names calibration errors as the cause of errors in motion if a model with these
+calibration errors explains the errors: its ratio of measured to predicted errors must be below this
+share of the ratio without calibration errors."""
 
 INTEGRAL_NAMES = {'gyro': 'angle', 'accel': 'velocity'}
 """Sensor -> name of the integral of its samples."""
@@ -104,7 +105,7 @@ def measure_motion(
     if is_known and rest_s >= LEAST_REST_S and len(drives.errors) >= LEAST_DRIVES:
         motion = noise_in_motion(drives.errors, noise_at_rest(noise))
         assert motion is not None
-        return motion, tuple(_factors(motion))
+        return motion, tuple(_factor_findings(motion))
     drive_count = len(drives.errors) + sum(drives.unused.values())
     if not drive_count or moving < MOVING:
         return None, ()
@@ -162,9 +163,10 @@ def causes_text(motion: NoiseInMotion) -> str:
     return ' and '.join(CAUSE_NAMES[cause.name] for cause in motion.causes)
 
 
-def _factors(motion: NoiseInMotion) -> Iterator[Finding]:
-    for sensor, errors in motion.sensors.items():
-        factor, explained, ratio = errors.factor, errors.explained, errors.factor.value or 1.0
+def _factor_findings(motion: NoiseInMotion) -> Iterator[Finding]:
+    for sensor, measured in motion.sensors.items():
+        factor, explained = measured.factor, measured.explained
+        ratio = factor.value or 1.0
         low, high = factor.ci95 or (0.0, math.inf)
         axes = tuple(axis for axis in AXES if axis.startswith(sensor))
         values = {
@@ -184,6 +186,6 @@ def _factors(motion: NoiseInMotion) -> Iterator[Finding]:
             **values,
             cause=causes_text(motion) if has_cause else None,
             left=explained.value if explained is not None and has_cause else None,
-            white=errors.white.value if errors.white else None,
-            slow=errors.slow.value if errors.slow else None,
+            white=measured.white.value if measured.white else None,
+            slow=measured.slow.value if measured.slow else None,
         )

@@ -65,7 +65,7 @@ AXIS_UNITS: Mapping[str, Mapping[str, str]] = {
 }
 """Sensor -> quantity of an axis that a plan can limit -> its SI unit."""
 
-UNIT_UNITS: Mapping[str, str] = {
+IMU_UNITS: Mapping[str, str] = {
     'gravity': 'm/s^2',
     'orientation': 'deg',
     'rate': 'Hz',
@@ -86,8 +86,7 @@ SCALES: Mapping[str, Mapping[str, float]] = {
 unit to the unit of the quantity."""
 
 ABOUT_THE_DATA = ('duration', 'used', 'temperature')
-"""Quantities of the recording, not of the IMU. If they exceed their limits, the IMU is not judged.
-"""
+"""Quantities of the recording, not of the IMU. If one exceeds its limits, the IMU is not judged."""
 
 SIGNED = ('bias', 'temperature_drift')
 """Quantities that can be negative, and therefore need both limits."""
@@ -121,7 +120,7 @@ class Plan:
     Attributes
     ----------
     name : str
-        Name of the plan in texts.
+        Name of the plan, for texts.
     axes : mapping of axis to quantity to Limits
         Limits of the quantities of each axis.
     whole : mapping of quantity to Limits
@@ -158,7 +157,7 @@ class Plan:
         """
         checks: list[Check] = []
         for quantity, limits in self.whole.items():
-            measured_and_note = self._of_unit(results, quantity)
+            measured_and_note = self._of_imu(results, quantity)
             checks.append(self._check('', quantity, limits, *measured_and_note))
         for axis, quantities in self.axes.items():
             for quantity, limits in quantities.items():
@@ -194,7 +193,7 @@ class Plan:
                     if no_axis_is_limited
                     else [f'{a} {quantity}' for a in unlimited_axes]
                 )
-        return names + [quantity for quantity in UNIT_UNITS if quantity not in self.whole]
+        return names + [quantity for quantity in IMU_UNITS if quantity not in self.whole]
 
     def _of_axis(
         self, results: Results, axis: str, quantity: str, limits: Limits
@@ -238,7 +237,7 @@ class Plan:
             gravity = 0.5 * (limits.lower + limits.upper)
         return gravity * self.up['xyz'.index(axis[-1])]
 
-    def _of_unit(self, results: Results, quantity: str) -> tuple[Estimate, str]:
+    def _of_imu(self, results: Results, quantity: str) -> tuple[Estimate, str]:
         if quantity == 'rate':
             return _exact(results.rate_hz)
         if quantity == 'duration':
@@ -296,7 +295,7 @@ def plan_from_document(document: object, where: str) -> Plan:
     """
     fields = Fields(document, where)
     fields.schema(SCHEMA)
-    fields.only('schema', 'name', 'remark', *SENSORS, *AXES, *UNIT_UNITS)
+    fields.only('schema', 'name', 'remark', *SENSORS, *AXES, *IMU_UNITS)
     axes: dict[str, dict[str, Limits]] = {}
     for axis in AXES:
         for name in (sensor_of(axis), axis):
@@ -310,7 +309,7 @@ def plan_from_document(document: object, where: str) -> Plan:
                 }
                 axes[axis] = axes.get(axis, {}) | axis_limits
     whole, up = {}, None
-    for quantity, unit in UNIT_UNITS.items():
+    for quantity, unit in IMU_UNITS.items():
         stated_limits = fields.optional_fields(quantity)
         if stated_limits is not None:
             whole[quantity] = _limits(stated_limits, quantity, unit)
@@ -334,8 +333,8 @@ def _limits(fields: Fields, quantity: str, unit: str) -> Limits:
     """
     optional_keys = {'bias': ('at',), 'orientation': ('up',)}.get(quantity, ())
     fields.only('lower', 'upper', 'unit', *optional_keys)
-    name = fields.text('unit', '' if unit == '' else unit)
-    scale = _scale(name, unit, fields.where)
+    unit_name = fields.text('unit', '' if unit == '' else unit)
+    scale = _scale(unit_name, unit, fields.where)
     lower, upper = (fields.number(k) * scale if k in fields else None for k in ('lower', 'upper'))
     if lower is None and upper is None:
         raise AllanError(f'{fields.where} has no limit: state lower, upper or both')
@@ -343,7 +342,7 @@ def _limits(fields: Fields, quantity: str, unit: str) -> Limits:
         raise AllanError(f'{fields.where}: {quantity} can be negative: state lower and upper')
     if lower is not None and upper is not None and lower > upper:
         raise AllanError(f'{fields.where}: lower is above upper: exchange them')
-    return Limits(lower, upper, name, scale, fields.number('at') if 'at' in fields else None)
+    return Limits(lower, upper, unit_name, scale, fields.number('at') if 'at' in fields else None)
 
 
 def _scale(stated: str, unit: str, where: str) -> float:

@@ -18,7 +18,7 @@ from allan_ros.core.imu import AXES
 from allan_ros.results.datasheets import sensor_names
 from allan_ros.results.plan import (
     AXIS_UNITS,
-    UNIT_UNITS,
+    IMU_UNITS,
     Limits,
     Plan,
     plan_from_document,
@@ -170,12 +170,12 @@ def test_what_a_plan_does_not_limit_is_listed(good: Results) -> None:
     short = plan_from_document({'schema': 'allan_ros/plan/1', 'gyro_x': DOCUMENT['gyro']}, 'p.yaml')
     listed = short.unchecked(good)
     assert 'gyro_y N' in listed and 'gyro_x N' not in listed and 'gyro Q' in listed
-    assert 'accel bias' in listed and set(UNIT_UNITS) <= set(listed)
+    assert 'accel bias' in listed and set(IMU_UNITS) <= set(listed)
     everything = {
         sensor: {q: Limits(-1e9, 1e9, '') for q in AXIS_UNITS[sensor]} for sensor in AXIS_UNITS
     }
     full = Plan(
-        'p', {a: everything[a[:-2]] for a in AXES}, dict.fromkeys(UNIT_UNITS, Limits(0, 1, ''))
+        'p', {a: everything[a[:-2]] for a in AXES}, dict.fromkeys(IMU_UNITS, Limits(0, 1, ''))
     )
     assert full.unchecked(good) == []
 
@@ -196,7 +196,7 @@ def test_each_datasheet_gives_a_plan(name: str) -> None:
     )
     uncommented = uncommented.replace('# duration:', 'duration:').replace('# temp', 'temp')
     known = plan_from_document(yaml.safe_load(uncommented), name)
-    assert set(known.whole) == set(UNIT_UNITS)
+    assert set(known.whole) == set(IMU_UNITS)
 
 
 @pytest.mark.parametrize(
