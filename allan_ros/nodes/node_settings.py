@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 from ..core.check import MARGIN
 from ..core.errors import AllanError
-from ..core.fit.methods import METHODS
+from ..core.fit.result import METHODS
 from ..core.imu import SAMPLE_UNITS
 from ..core.settings import CheckedSettings, SegmenterSettings, fixed_parameter, parameter
 

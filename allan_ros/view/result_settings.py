@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from importlib import import_module
 
 from ..core.check import MARGIN
-from ..core.fit.methods import METHODS
+from ..core.fit.result import METHODS
 from ..core.settings import UNIT_SYSTEMS, CheckedSettings, choose, parameter
 from .format import FORMATS
 

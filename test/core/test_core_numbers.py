@@ -22,7 +22,8 @@ from allan_ros.core.allan.grid import MAX_LEVELS, MIN_VARIANCE, counts, grid
 from allan_ros.core.allan.periods import Period, RecordedPeriods
 from allan_ros.core.allan.recent import noise_steps
 from allan_ros.core.allan.sums import AllanSums
-from allan_ros.core.fit.methods import METHODS, fit_noise
+from allan_ros.core.fit.methods import fit_noise
+from allan_ros.core.fit.result import METHODS
 from allan_ros.core.imu import AXES, LARGEST, ImuIdentity
 from allan_ros.core.noise import Model
 

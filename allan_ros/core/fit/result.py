@@ -149,6 +149,11 @@ def model_of_terms(noise: Mapping[str, Estimate]) -> Model:
     return Model.of(**{t: c.value for t, c in noise.items() if c.value})
 
 
+METHODS = ('likelihood', 'paper')
+"""Fit methods: maximum likelihood for octave spectra and block means, and least squares on Allan
+variances as in Cong et al. 2019."""
+
+
 @dataclass(frozen=True)
 class NoiseModel:
     """Fit of all axes of one `AllanSums`.
@@ -156,7 +161,7 @@ class NoiseModel:
     Attributes
     ----------
     method : str
-        'likelihood' or 'paper'.
+        One of `METHODS`.
     tau0 : float
         Sample period in s.
     axes : mapping of axis name to AxisFit

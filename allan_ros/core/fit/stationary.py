@@ -19,8 +19,7 @@ from ..allan.sums import AllanSums, part
 from ..findings import Finding, finding, quantity
 from ..imu import axes_of_sensors, sensor_of
 from .bias_changes import step_findings
-from .maximum_likelihood import fit_likelihood
-from .methods import fit_noise
+from .methods import fit_likelihood, fit_noise
 from .period_levels import (
     PeriodLevels,
     PeriodSpectra,

@@ -28,11 +28,11 @@ from ..allan.cascade import MAX_INTERPOLATED
 from ..allan.curve import pooled_spectra
 from ..allan.grid import LONGEST_BLOCK, SAMPLE_OCTAVES, bins_up_to, octave, tapers
 from ..allan.periods import BlockMeans, RecordedPeriods
+from ..allan.replaced_stretches import replaced_excess
 from ..allan.sums import AllanSums
 from ..noise import Gamma, Process
 from ..noise.processes.quantization import Quantization
 from ..noise.processes.white import White
-from .replaced import replaced_excess
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

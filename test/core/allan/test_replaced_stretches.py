@@ -5,8 +5,8 @@
 import numpy as np
 import pytest
 
+from allan_ros.core.allan.replaced_stretches import replaced_excess
 from allan_ros.core.fit.methods import fit_noise
-from allan_ros.core.fit.replaced import replaced_excess
 from allan_ros.core.imu import AXES, ImuBatch
 from allan_ros.core.noise import Model
 from allan_ros.core.simulator import simulate_axis
