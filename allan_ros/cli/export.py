@@ -242,7 +242,7 @@ SENSOR_OPTIONS = (
     ),
     Option(
         ('--from',),
-        'results.json or its folder: print an entry "measured" for a datasheet file',
+        'print these results (results.json, or its folder) as an entry for a datasheet file',
         'RESULTS',
     ),
     Option(

@@ -49,23 +49,24 @@ class ExportOptions(CheckedSettings):
     )
     filter_rate: float = parameter(
         0.0,
-        'Rate at which the filter processes samples; 0: rate of the recording, or the fixed rate '
-        'of the filter.',
+        'Rate at which the state estimator processes samples; 0: rate of the recording, or the '
+        'fixed rate of the state estimator.',
         unit='Hz',
         low=0.0,
         high=1e6,
     )
     fidelity: str = parameter(
         'reduction',
-        'Which N and K are written. With reduction, K is raised until the predicted error growth '
-        'covers the complete model; coefficients are N and K as measured.',
+        'Which N and K are written: with reduction, a reduced-order model, whose K is raised until '
+        'the predicted error growth covers the complete model; with coefficients, N and K as '
+        'measured.',
         choices=('reduction', 'coefficients'),
     )
     horizon: float = parameter(
         0.0,
-        'Longest time that the filter integrates without a correction. Up to this time, the '
-        'reduction covers the complete model. 0: the default of the target (30 s for cameras and '
-        'lidars, 100 s for GNSS).',
+        'Longest time that the state estimator integrates without a correction. Up to this time, '
+        'the reduced-order model covers the complete model. 0: the default of the target (30 s for '
+        'cameras and lidars, 100 s for GNSS).',
         unit='s',
         low=0.0,
         high=1e6,

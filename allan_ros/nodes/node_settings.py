@@ -182,7 +182,7 @@ class EstimatorSettings(CheckedSettings):
     )
     recent_window: float = fixed_parameter(
         3600.0,
-        'Length of the latest time window, whose noise is compared with the noise before it.',
+        'Length of the latest time window. The noise in it is compared with the earlier noise.',
         's',
         1.0,
         604800.0,
@@ -228,7 +228,8 @@ class PushSettings(CheckedSettings):
 
     node: str = fixed_parameter('', 'Full name of the node whose parameters are set; empty: none.')
     filter: str = fixed_parameter(
-        '', 'Which number is set as which parameter: a name in config/filters, or a file.'
+        '',
+        'File that states which numbers are set as which parameters; or a name in config/filters.',
     )
     enabled: bool = parameter(
         True,

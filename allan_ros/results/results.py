@@ -139,12 +139,13 @@ class Results:
 
     @cached_property
     def level(self) -> Level:
-        """The overall verdict about the IMU: the first of the following verdicts that applies.
+        """The verdict on the IMU: 'failed', 'unknown', 'measured', 'attention' or 'healthy'.
 
-        'failed' for a broken sensor; 'unknown' for too little data, a wrong unit of measurement, or
-        a recording of motion or of a warm-up; 'failed' for an exceeded limit; 'unknown' for another
-        error or an undecided comparison; 'measured' if there is neither a datasheet nor an earlier
-        result to compare with; 'attention' for a warning; else 'healthy'.
+        The first of these conditions that holds determines the verdict: 'failed' for a broken
+        sensor; 'unknown' for too little data, a wrong unit of measurement, or a recording of motion
+        or of a warm-up; 'failed' for an exceeded limit; 'unknown' for another error or an undecided
+        comparison; 'measured' if there is neither a datasheet nor an earlier result to compare
+        with; 'attention' for a warning; else 'healthy'.
         """
         ids = {finding.id for finding in self.findings}
         severities = {finding.severity for finding in self.findings}

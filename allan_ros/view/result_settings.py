@@ -31,7 +31,7 @@ class ResultSettings(CheckedSettings):
     )
     export: tuple[str, ...] = parameter(
         (),
-        'Further files for filters: kalibr, openvins, px4 ... (`allan export --list` lists all, '
+        'Further configuration files: kalibr, openvins, px4 ... (`allan export --list` lists all, '
         '`allan export` has more options).',
     )
     sensor: str = parameter(
@@ -52,8 +52,8 @@ class ResultSettings(CheckedSettings):
     )
     margin: float = parameter(
         MARGIN,
-        'A coefficient exceeds the datasheet or the earlier run if its complete 95 % interval lies '
-        'above the limit by more than this fraction.',
+        'Margin of the limits: a coefficient exceeds the datasheet or the earlier run if its '
+        'complete 95 % interval lies above the limit by more than this fraction.',
         low=0.0,
         high=1.0,
         percent=True,
