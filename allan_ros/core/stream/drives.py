@@ -311,9 +311,12 @@ class _Blocks(NamedTuple):
 
     duration: float  # duration of a block in s
     number: int  # number of blocks
-    first_rest_shares: Floats  # (number,) share of the rest before the drive in each block
-    block_of_sample: NDArray[np.intp]  # (n,) index of the block that contains each sample
-    last_rest_shares: Floats  # (number,) share of the rest after the drive in each block
+    # (number,) share of the rest before the drive that lies in each block
+    first_rest_shares: Floats
+    # (n,) index of the block in which each sample of the drive lies
+    block_of_sample: NDArray[np.intp]
+    # (number,) share of the rest after the drive that lies in each block
+    last_rest_shares: Floats
 
     @classmethod
     def of(cls, drive: Drive) -> _Blocks:

@@ -191,7 +191,7 @@ class StreamHealth:
     discarded: int = 0  # how often sums were discarded, because another noise floor was learned
     # axis -> largest ratio of its noise at rest to the noise floor; empty if no noise increased
     largest_increase: Mapping[str, float] = field(default_factory=dict)
-    discarded_s: float = 0.0  # time in s from the first discarded sample to the first kept one
+    discarded_s: float = 0.0  # time in s from the first discarded sample to the first kept sample
     # axis with heavy tails -> share of its samples that are outliers
     outliers: Mapping[str, float] = field(default_factory=dict)
     events: tuple[Event, ...] = ()  # shocks, motions and changes of the noise

@@ -165,7 +165,7 @@ class NoiseLevels:
         self._drops = 0  # number of levels that were discarded after they were the result
         # stamp of the first sample of the first level; None until another level begins
         self._first_ns: int | None = None
-        self._last_ns = 0  # stamp of the last sample of the level that was discarded last
+        self._last_ns = 0  # last stamp of the most recently discarded level
 
     @property
     def published(self) -> NoiseLevel:

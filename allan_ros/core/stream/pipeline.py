@@ -159,7 +159,7 @@ class ImuStream:
         present = self._present.present
         if present.state not in ('waiting', 'learning'):
             return self._health(present, sums)
-        # in these states, all samples are still buffered, and there are few of them
+        # before the noise floor is learned, all samples are buffered, and there are few of them
         ended = self if self._ended else self._at_end()
         return ended._health(self._state_with(ended), sums)
 
@@ -273,7 +273,7 @@ class FrameStream:
         self._options = settings, with_samples, with_drives
         self.sensors: tuple[SensorStream, ...] = ()
         self.earlier: tuple[SensorStream, ...] = ()
-        self._dropped = Counts()  # counts of the streams before `earlier`
+        self._dropped = Counts()  # counts of the sensor streams that preceded `earlier`
         self._faulty: tuple[Finding, ...] = ()  # faults of the first samples that may end
         self.notes: list[Finding] = []
         self.first_ns: int | None = None

@@ -57,7 +57,7 @@ class RecentWindows:
 
     @property
     def samples(self) -> list[ImuBatch]:
-        """The samples of each part."""
+        """The samples of all windows, one batch for each part without a gap."""
         return [part.samples for part in self._parts]
 
     @property

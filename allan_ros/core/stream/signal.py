@@ -243,7 +243,7 @@ class SignalSummary:
     time_s: Floats  # (bins,) start of each bin in s since the first sample of the first recording
     # (bins, 6) lowest sample in SI; NaN at the start of each further recording, or without a sensor
     low: Floats
-    high: Floats  # (bins, 6) highest sample in SI; NaN like `low`
+    high: Floats  # (bins, 6) highest sample in SI; NaN where `low` is NaN
     mean: Floats  # (bins, 6) mean of the samples in SI
     # (bins, 6) standard deviation of the differences of successive samples / sqrt(2), in SI
     noise: Floats

@@ -299,7 +299,8 @@ class SampleClock:
         self._samples = ImuBatch.empty(axes)  # samples that are buffered
         # number of buffered samples that are already processed, at most `_reach`
         self._processed = 0
-        self._steps: Ints = np.empty(0, np.int64)  # index steps of the last processed samples
+        # steps of the sample index at the last processed samples (see `_process`)
+        self._steps: Ints = np.empty(0, np.int64)
         self._blocks = 0  # number of processed blocks
         # whether the mean step of the last block differed from the period of the clock
         self._other_period = False

@@ -58,8 +58,8 @@ CAUSES_OF_LOSS = ('messages_lost', 'silent_s', 'stamps_leapt', 'frame_changed', 
 """Keys of the counts of events that are known to cause missing samples."""
 
 EXCUSED = 10
-"""An event of `CAUSES_OF_LOSS` explains missing samples in this number of the next calls of
-`TransportMonitor.observe` with usable samples."""
+"""An event of `CAUSES_OF_LOSS` explains missing samples until `TransportMonitor.observe` was called
+this number of times with usable samples."""
 
 STARTUP_S = 5.0
 """Time in s after the start during which missing messages are not reported, because the discovery
@@ -195,7 +195,7 @@ class TransportMonitor:
         self._history: deque[tuple[float, Counter[str]]] = deque()
         self._excused = 0  # number of observations for which a cause still explains missing samples
         self._unexplained = 0  # number of missing samples without a known cause
-        self._absent = 0  # number of these samples that are reported as missing
+        self._absent = 0  # number of missing samples without a known cause that are reported
 
     def set_received(self, time_s: float, messages: int) -> None:
         """Store the number of messages since the start, and the time when it last increased."""
