@@ -19,11 +19,12 @@ from .record_length import recommended_duration
 from .result import AxisFit, Floats, NoiseModel
 
 NEGLIGIBLE_STEP = 0.02
-"""Largest rounding step, relative to the white noise per sample, that is ignored. Such a step
-increases the variance of the samples by a fraction of only 3e-5."""
+"""Largest rounding step that is ignored, as a fraction of the standard deviation of the white noise
+of a sample. Such a step increases the variance of the samples by a fraction of only 3e-5."""
 
 WHOLE_TOLERANCE = 0.05
-"""Largest distance of a phase value, divided by the step, from a whole number."""
+"""A phase value is a multiple of a step if the ratio of the two differs from a whole number by less
+than this value."""
 
 LARGEST_SHARE = 1.05
 """Largest ratio of the variance of the rounding error to the variance of the white noise. The white
@@ -31,7 +32,7 @@ noise contains independent rounding errors. A larger ratio therefore shows that 
 of successive samples are not independent."""
 
 LEAST_POINTS = 8
-"""Fewest different phase values for which a rounding step is searched for. A few values can be
+"""Fewest different phase values among which a rounding step is searched for. A few values can be
 multiples of some step by chance."""
 
 
@@ -52,11 +53,11 @@ def common_step(phase: Floats, deviation: float) -> float | None:
         if step < least_step:
             return None
         # Euclid's algorithm accumulates rounding errors. To remove them, the step is computed again
-        # from each phase value so far, from the smallest on: the value divided by its multiple.
+        # as the ratio of each phase value so far, from the smallest on, to its multiple.
         for magnitude in [value] if step == former_step else values[: i + 1]:
             multiple = round(magnitude / step)
             if multiple < 1:
-                return None  # the step exceeds a value that it should divide
+                return None  # the step exceeds a value that should be a multiple of it
             step = magnitude / multiple
     remainders = np.abs(magnitudes / step - np.round(magnitudes / step))
     return step if remainders.max() < WHOLE_TOLERANCE else None
@@ -71,7 +72,8 @@ def _common_divisor(a: float, b: float, least: float) -> float:
 
 
 ROUNDING_SHARE = 0.1
-"""Variance of the rounding error, relative to the white noise, above which rounding is reported."""
+"""Least ratio of the variance of the rounding error to the variance of the white noise for which
+rounding is reported."""
 
 SLOWEST_VIBRATION = 0.5
 """Lowest frequency in Hz of a sinusoid that a finding reports as vibration. Buildings and tables
@@ -165,8 +167,8 @@ def with_deviations(model: NoiseModel, curve: AllanCurve) -> NoiseModel:
 class Line(NamedTuple):
     """Sinusoid in the model of an axis."""
 
-    frequency: float  # Hz
-    amplitude: float  # SI
+    frequency: float  # in Hz
+    amplitude: float  # in SI
 
 
 def with_harmonics(lines: Sequence[Line]) -> list[list[Line]]:

@@ -31,7 +31,7 @@ from .result import K
 from .statistics import Floats, Group, Size, Statistics, contrasts, lower_edge
 
 GAIN_STEPS, GAIN_MORE_STEPS = 20.0, 10.0
-"""Least gain in -2 log L of the first step of the bias, and of each further step. In simulations
+"""Least gain in -2 log L for the first step of the bias, and for each further step. In simulations
 without steps, the 99 % quantiles of the gain are 11 to 22, depending on the noise
 (`bench/bench_stationarity.py`)."""
 
@@ -70,6 +70,7 @@ class Segment:
     Attributes
     ----------
     means : BlockMeans
+        Block means of the segment.
     tau0 : float
         Sample period in s.
     known : Statistics
@@ -100,12 +101,12 @@ class Segment:
         points, step, octaves = len(means.values), means.step, known.octaves
         numbers = ((o, 2.0 * points * step * lower_edge(o)) for o in range(octaves + 1))
         kept_octaves = min((o for o, n in numbers if n <= MOST_CONTRASTS), default=octaves)
-        possible = int(2.0 * points * step * lower_edge(kept_octaves))
-        size = Size(points, max(min(possible, MOST_CONTRASTS, points - 2), 2))
+        possible_contrasts = int(2.0 * points * step * lower_edge(kept_octaves))
+        size = Size(points, max(min(possible_contrasts, MOST_CONTRASTS, points - 2), 2))
         z = means.values.T @ contrasts(size)
         group = Group(size, 1, z, z[:, :, None] * z[:, None, :])
         kept_bins = known.octave < kept_octaves
-        of_segment = replace(
+        segment_statistics = replace(
             known,
             octave=known.octave[kept_bins],
             f=known.f[kept_bins],
@@ -118,7 +119,7 @@ class Segment:
         )
         daily = daily_cycle(means.samples, tau0)
         components = (*RANDOM_TERMS, daily) if daily else RANDOM_TERMS
-        return cls(means, tau0, of_segment, max(kept_octaves - NEAR_OCTAVES, 0), components)
+        return cls(means, tau0, segment_statistics, max(kept_octaves - NEAR_OCTAVES, 0), components)
 
     def contrasts_of(self, shapes: Floats) -> Floats:
         """Return the contrasts, (contrasts, n), of n series of means, (means, n).
@@ -153,7 +154,7 @@ class AxisSegment:
     fit: Fit
 
     def _whitened(self, effects: Floats, fit: Fit) -> tuple[Floats, Floats]:
-        """Return the contrasts of effects and of block means, whitened with the noise of a fit."""
+        """Return the contrasts of effects and of block means, whitened by the noise of a fit."""
         root = np.linalg.cholesky(np.tensordot(fit.p, self.columns.low[0], 1))
         whitened = np.linalg.solve(root, np.column_stack([effects, self.z]))
         return whitened[:, :-1], whitened[:, -1]
@@ -162,8 +163,8 @@ class AxisSegment:
         """Return the score of each column of ``effects``, (effects,).
 
         The score of an effect is the square of its estimated size, divided by the variance of this
-        estimate. The model consists of this effect, of the effects ``beside``, and of the noise of
-        ``fit``. Each column of ``effects`` and ``beside`` has the contrasts of one effect.
+        estimate. The model consists of this effect, the effects ``beside``, and the noise of
+        ``fit``. Each column of ``effects`` and ``beside`` contains the contrasts of one effect.
         """
         whitened, z = self._whitened(np.column_stack([beside, effects]), fit)
         whitened_beside, whitened = whitened[:, : beside.shape[1]], whitened[:, beside.shape[1] :]
@@ -180,8 +181,8 @@ class AxisSegment:
     def with_effects(self, effects: Floats) -> FittedEffects:
         """Estimate the sizes of effects, and fit the noise to the data minus the effects.
 
-        Each column of ``effects``, (contrasts, effects), has the contrasts of one effect whose size
-        is 1. The estimated sizes are in SI.
+        Each column of ``effects``, (contrasts, effects), contains the contrasts of one effect of
+        size 1. The estimated sizes are in SI.
         """
         fit, sizes = self.fit, np.zeros(effects.shape[1], float)
         for _ in range(3):
@@ -204,14 +205,14 @@ class AxisSegment:
         return math.sqrt(variance * self.data.scale)
 
     def walk(self, fit: Fit) -> float:
-        """Return the variance that the random walk of a fit gains per sample, in SI."""
+        """Return the variance that the random walk of a fit gains per sample, in SI squared."""
         return float(fit.p[K]) * self.data.scale
 
 
 class FittedEffects(NamedTuple):
     """Sizes of effects, and the fit of the noise to the data minus these effects."""
 
-    sizes: Floats  # (effects,) in SI
+    sizes: Floats  # (effects,) sizes of the effects in SI
     fit: Fit
     gain: float  # decrease of -2 log L by all effects together
 
@@ -221,19 +222,20 @@ class FittedEffects(NamedTuple):
 
 @dataclass(frozen=True)
 class BiasSteps:
-    """Steps of the bias of one axis."""
+    """Steps of the bias of one axis, and the random walk without and with these steps."""
 
     ns: tuple[int, ...]  # stamps of the steps in ns
-    sizes: tuple[float, ...]  # in SI
+    sizes: tuple[float, ...]  # sizes of the steps in SI
     walk_before: float  # variance of the random walk per sample, without steps in the model
     walk_after: float  # variance of the random walk per sample, with the steps in the model
     excess: float  # gain of all steps minus the least gain for this number of steps
 
 
 class _Steps(NamedTuple):
-    """Steps between block means."""
+    """Steps of the bias between block means, and the fit with these steps."""
 
-    at: list[int]  # index of the last mean before each step, in the order in which they were found
+    # index of the last block mean before each step, in the order in which the steps were found
+    at: list[int]
     effects: FittedEffects
 
     @property
@@ -286,7 +288,7 @@ def step_findings(sums: AllanSums, known: Statistics, without: set[int]) -> list
     segment = Segment.of(known, longest, tau0)
     if longest is None or segment is None:
         return []
-    found = []
+    findings = []
     for i, axis in enumerate(sums.axes):
         steps = None if i in without else bias_steps(segment, i)
         if steps is not None and steps.walk_after < STEPS_RATIO * steps.walk_before:
@@ -295,5 +297,5 @@ def step_findings(sums: AllanSums, known: Statistics, without: set[int]) -> list
             begin = longest.age * tau0
             times = [duration_text(begin + (ns - longest.start_ns) * 1e-9) for ns in steps.ns]
             times_text = ', '.join(times)
-            found.append(finding('bias_steps', (axis,), size=size, share=share, at=times_text))
-    return found
+            findings.append(finding('bias_steps', (axis,), size=size, share=share, at=times_text))
+    return findings

@@ -32,12 +32,12 @@ WANDER = 1e-3
 sinusoid has the same uncertainty in cycles per sample."""
 
 LEAST_OWN = 1e-5
-"""Least share of the information of a candidate that is left after the components of the fit are
-taken into account. With a smaller share, the candidate cannot be told from these components."""
+"""Least share of the information of a candidate that the components of the fit do not contain. With
+a smaller share, the candidate cannot be told from these components."""
 
 
 class Moments(NamedTuple):
-    """Derivatives of the log likelihood with respect to the coefficients of candidates, at 0."""
+    """Derivatives of the log likelihood with respect to the coefficients of candidates, at zero."""
 
     score: Floats  # (candidates,) first derivatives
     information: Floats  # (candidates,) Fisher information
@@ -137,12 +137,15 @@ class Kind:
 
     @property
     def first(self) -> Process:
-        """The first candidate, from which properties of the kind are read."""
+        """The first candidate, which represents the kind where the shape does not matter."""
         return self.processes[0]
 
     @cached_property
     def number(self) -> Floats:
-        """The first number of the shape of each candidate: a correlation time or a frequency."""
+        """First number of the shape of each candidate, (candidates,).
+
+        It is a correlation time in samples, or a frequency in cycles per sample.
+        """
         return np.array([each.shape[0] for each in self.processes])
 
     @cached_property
@@ -239,7 +242,7 @@ class Candidates:
 
     @cached_property
     def search(self) -> Search:
-        """Range of shapes that the data can tell apart."""
+        """Range of the shapes that the data can tell apart."""
         statistics = self.statistics
         block = np.array([octave(o).length for o in statistics.octave.tolist()], float)
         return Search(

@@ -55,7 +55,7 @@ class Errors(NamedTuple):
     # covariance of the coefficients, which includes the uncertainty of the shapes; 0 for
     # coefficients that are held at 0
     covariance: Floats
-    # for each fitted number of a shape: coefficient times the standard error of the logarithm
+    # for each fitted number of a shape: coefficient times standard error of the number's logarithm
     of_shapes: Mapping[Shape, float]
 
     @classmethod
@@ -92,7 +92,7 @@ def axis_fit(selected: SelectedModel, tau0: float, brief: bool = False) -> AxisF
         profile_interval(data, fit, i, errors.information) for i in range(len(RANDOM_TERMS))
     ]
     if not rules.signed and intervals[Q].gain <= GAIN_RESOLVED:
-        # the error of N would be nearly twice as large if an unresolved q was fitted
+        # if an unresolved q were fitted, the error of N would be nearly twice as large
         fit = data.solve(fit.components, fit.columns, fit.p, {Q: 0.0})
     variances, covariance = fit.p * data.scale, errors.covariance * data.scale**2
     noise = {
@@ -215,7 +215,10 @@ def _part(fit: Fit, at: int, errors: Errors, scale: float, tau0: float) -> Part:
 
 
 def _around(value: float, relative: float) -> tuple[float, float]:
-    """Return the 95 % interval of a positive value with a relative standard error."""
+    """Return the 95 % interval of a positive value, symmetric on a logarithmic scale.
+
+    ``relative`` is the relative standard error of the value.
+    """
     factor = math.exp(min(Z_95 * relative, 50.0))
     return value / factor, value * factor
 

@@ -41,8 +41,7 @@ LEAST_BINS = 12
 
 WHITE_NOISE = 3.0
 """Least ratio of the variance of the white noise to the standard error of this variance in a model
-that passes its tests. The rate of false alarms that is stated at `CURVATURE` was
-measured with this test."""
+that passes its tests. The rate of false alarms that is stated at `CURVATURE` includes this test."""
 
 LOST_POWER = 0.8, 0.5
 """Least power in the highest octave of a fit, relative to the power two octaves lower, for which a
@@ -273,7 +272,10 @@ def _leaves_white_noise(rules: Selection) -> bool:
 
 
 def _is_rather_filter(rules: Selection, fit: Fit) -> bool:
-    """Return whether a filter explains the data as well as the fast Gauss-Markov processes do."""
+    """Return whether a low-pass filter explains the data as well as the fast processes of a fit.
+
+    The fast processes are Gauss-Markov processes that bend the spectrum (`bends_spectrum`).
+    """
     is_fast = np.array([c.bends_spectrum for c in fit.components])
     if rules.signed or not is_fast.any():
         return False

@@ -272,7 +272,7 @@ class AxisData:
         rounds : int
             Largest number of steps.
         tolerance : float
-            Change of -2 log L below which a step is the last one.
+            Change of -2 log L below which a step is the last step.
         """
         columns = self.columns(components) if columns is None else columns
         p = self.start(columns) if p is None else p.copy()

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Allan deviation of a fitted model, largest deviation of the measured curve, and dominant terms.
 
-Cong et al. 2019 state the dominant term in each range of averaging times, too.
+Cong et al. 2019 also state the dominant term in each range of averaging times.
 """
 
 from __future__ import annotations
@@ -49,7 +49,8 @@ def model_line(fit: AxisFit, tau0: float, m: NDArray[np.int64]) -> ModelLine:
     ``m`` and both arrays of the result are (factors,). ``tau0`` is the sample period in s.
     Below the shortest averaging time that the model describes, the Allan deviation is NaN.
     """
-    with np.errstate(invalid='ignore'):  # with a filter, the model is negative at short times
+    # the Allan variance of a model with a low-pass filter may be negative at short times
+    with np.errstate(invalid='ignore'):
         line, upper = (
             np.sqrt(model.avar(m * tau0, tau0)) for model in (fit.model, fit.model_at_limits)
         )
@@ -68,13 +69,13 @@ def largest_deviation(line: ModelLine, curve: AxisCurve) -> Deviation | None:
     with np.errstate(divide='ignore', invalid='ignore'):
         nearest = np.clip(adev, line.adev, line.upper)
         difference = np.log(adev / nearest)
-        bar = np.where(difference > 0.0, np.log(adev / low), np.log(high / adev))
-        is_large = np.abs(difference) > SIGNIFICANT * bar
+        error_bar = np.where(difference > 0.0, np.log(adev / low), np.log(high / adev))
+        is_large = np.abs(difference) > SIGNIFICANT * error_bar
         is_significant = ~curve.is_uncertain & (adev > 0.0) & is_large
     if not is_significant.any():
         return None
-    at = int(np.argmax(np.where(is_significant, np.abs(difference), -1.0)))
-    return Deviation(math.expm1(difference[at]), float(curve.tau[at]))
+    largest = int(np.argmax(np.where(is_significant, np.abs(difference), -1.0)))
+    return Deviation(math.expm1(difference[largest]), float(curve.tau[largest]))
 
 
 @dataclass(frozen=True)
@@ -136,15 +137,15 @@ def _stretches(parts: Sequence[str], shares: Floats, edges: Floats) -> list[_Str
     def is_wide(s: _Stretch) -> bool:
         return bool(edges[s.points.stop] >= MIN_WIDTH * edges[s.points.start])
 
-    out: list[_Stretch] = []
-    for are_wide, group in groupby(ranges, key=is_wide):
+    stretches: list[_Stretch] = []
+    for is_wide_group, group in groupby(ranges, key=is_wide):
         neighbors = list(group)
-        if are_wide:
-            out += neighbors
+        if is_wide_group:
+            stretches += neighbors
             continue
         merged = slice(neighbors[0].points.start, neighbors[-1].points.stop)
         names = {s.terms[0] for s in neighbors}
         if len(names) == 1:
             names = {parts[k] for k in np.argsort(shares[merged].mean(axis=0))[-2:]}
-        out.append(_Stretch(tuple(name for name in parts if name in names), merged))
-    return out
+        stretches.append(_Stretch(tuple(name for name in parts if name in names), merged))
+    return stretches

@@ -92,8 +92,8 @@ def is_disturbed(fit: AxisFit, tau0: float, seconds: float) -> bool:
         for p in fit.model.shaped.parts
         if not p.process.is_drift
     ]
-    of_motion = [s for p, s in shares if not p.is_line or p.numbers['frequency'] < SLOW_HZ]
-    if len(of_motion) > 1 and sum(of_motion) > 1.0:
+    motion_shares = [s for p, s in shares if not p.is_line or p.numbers['frequency'] < SLOW_HZ]
+    if len(motion_shares) > 1 and sum(motion_shares) > 1.0:
         return True
     if len(shares) > MOST_LINES and sum(s for _, s in shares) > 1.0:
         return True

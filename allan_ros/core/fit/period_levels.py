@@ -40,15 +40,16 @@ MEDIAN_CHI_SQUARED = 0.455
 """Median of chi-squared with one degree of freedom."""
 
 PART = 0.04
-"""Approximate length of the parts among which a finding states the lowest and the highest level,
-relative to the length of all data. Longer periods are not divided."""
+"""Approximate length of a part of the data, relative to all data. A finding states the lowest and
+the highest N of the parts. Periods that are longer are not divided."""
 
 LEAST_SHARE = 0.3
-"""Least share of the drift in the power of a bin from which the level of the drift is measured."""
+"""The level of the drift is measured in bins in which the drift has more than this share of the
+power."""
 
 LARGEST_SETTLING = 0.01
-"""Largest share of a settling in the power of a bin from which the level of the drift is measured.
-The share of a settling is not the same in all periods."""
+"""The level of the drift is measured in bins in which a settling has less than this share of the
+power, because the share of a settling differs between the periods."""
 
 SCATTER = 0.005
 """Probability in Bartlett's test below which the levels of the parts of a recording are regarded as
@@ -363,8 +364,8 @@ def drift_levels(
 def present_part(sums: AllanSums, levels: PeriodLevels) -> tuple[int, tuple[int, ...]] | None:
     """Return the first period at the present level of the white noise, and the axes that changed.
 
-    Both results are indices. The result is None if no
-    level has changed, or if the present level has not lasted long enough.
+    Both results are indices. The result is None if no level has changed, or if the present level
+    has not lasted long enough.
     """
     total = levels.samples.sum()
     least_samples = max(LEAST_LAST_S / (sums.tau0 or 1.0), LEAST_LAST_PART * total)

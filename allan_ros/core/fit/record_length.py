@@ -44,7 +44,7 @@ LENGTHS_S = (
     *(3600.0 * n for n in (1, 1.5, 2, 3, 4, 6, 8, 12, 16, 24)),
 )
 """Lengths in s that are recommended, ascending. A required length is rounded up to one of these
-lengths. If it exceeds the last one, no recording is recommended."""
+lengths. If it exceeds the longest of them, no recording is recommended."""
 
 
 def recommended_duration(
@@ -114,9 +114,9 @@ def _resolved_value(term: str, fit: AxisFit) -> float:
 def _negligible(term: str, fit: AxisFit) -> float:
     """Return the coefficient in SI below which a term has no relevant effect at `HORIZON_S`."""
     n, b, k = (_resolved_value(t, fit) for t in ADVISED_TERMS)
-    known = n**2 / HORIZON_S + FLICKER_FLOOR * b**2 + k**2 * HORIZON_S / 3.0
-    unit = FLICKER_FLOOR if term == 'B' else HORIZON_S / 3.0
-    return math.sqrt(NEGLIGIBLE * known / unit)
+    known_variance = n**2 / HORIZON_S + FLICKER_FLOOR * b**2 + k**2 * HORIZON_S / 3.0
+    unit_variance = FLICKER_FLOOR if term == 'B' else HORIZON_S / 3.0
+    return math.sqrt(NEGLIGIBLE * known_variance / unit_variance)
 
 
 def _seconds_for(term: str, size: float, fit: AxisFit) -> float:

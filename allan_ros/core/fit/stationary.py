@@ -85,27 +85,28 @@ def fit_stationary(
     of_axis = [known] * len(data.axes)
     settlings = []
     for indices in axes_of_sensors(data.axes).values():
-        one = settling(data, known, indices)
-        if one is not None:
-            settlings.append(one)
-            settled = statistics(data, one.settling)
+        sensor_settling = settling(data, known, indices)
+        if sensor_settling is not None:
+            settlings.append(sensor_settling)
+            settled = statistics(data, sensor_settling.settling)
             of_axis = [settled if i in indices else each for i, each in enumerate(of_axis)]
     model = fit_likelihood(data, of_axis)
-    found = settling_findings(data, settlings)
+    findings = settling_findings(data, settlings)
     if present is not None:
-        at, changed_axes = present
+        first_period, changed_axes = present
         seconds_since = data.samples * sums.tau0
-        found += [
-            _level_finding(model, sums.axes[i], levels, i, at, seconds_since) for i in changed_axes
+        findings += [
+            _level_finding(model, sums.axes[i], levels, i, first_period, seconds_since)
+            for i in changed_axes
         ]
         levels = white_noise_levels(spectra)
     # a settling, or white noise that increases for some time, would look like steps of the bias
     ratios = (np.divide(*levels.extremes(i)) for i in range(len(sums.axes)))
     not_tested = {i for i, ratio in enumerate(ratios) if ratio < 1.0 / SHAKY_RATIO}
-    not_tested |= {a for one in settlings for a in one.axes}
-    found += step_findings(data, known, not_tested)
-    found = [*level_findings(data, levels, model), *found, *model.findings]
-    return data, replace(_with_scatter(spectra, of_axis, levels, model), findings=tuple(found))
+    not_tested |= {a for sensor_settling in settlings for a in sensor_settling.axes}
+    findings += step_findings(data, known, not_tested)
+    findings = [*level_findings(data, levels, model), *findings, *model.findings]
+    return data, replace(_with_scatter(spectra, of_axis, levels, model), findings=tuple(findings))
 
 
 def _from_period(sums: AllanSums, at: int) -> AllanSums:
@@ -120,7 +121,7 @@ def _from_period(sums: AllanSums, at: int) -> AllanSums:
 def _parts(sums: AllanSums, first: Sequence[int]) -> AllanSums:
     """Return the sums without the first periods of each recording.
 
-    ``first`` has the index of the first period that is kept, for each recording.
+    ``first`` contains the index of the first period that is kept, for each recording.
     """
     if not any(first):
         return sums
@@ -130,8 +131,8 @@ def _parts(sums: AllanSums, first: Sequence[int]) -> AllanSums:
         if k < len(r.periods)
     ]
     total = parts[0]
-    for more in parts[1:]:
-        total = total + more
+    for further in parts[1:]:
+        total = total + further
     return total
 
 
@@ -141,19 +142,19 @@ def _parts(sums: AllanSums, first: Sequence[int]) -> AllanSums:
 def settling_findings(sums: AllanSums, found: Sequence[SensorSettling]) -> list[Finding]:
     """Return one finding about each settling in ``found``."""
     tau0 = sums.tau0 or 1.0
-    out = []
-    for one in found:
-        sizes = [abs(s) for size in one.settling.sizes.values() for s in size.tolist()]
-        axes = tuple(sums.axes[a] for a in one.axes)
+    findings = []
+    for sensor_settling in found:
+        sizes = [abs(s) for size in sensor_settling.settling.sizes.values() for s in size.tolist()]
+        axes = tuple(sums.axes[a] for a in sensor_settling.axes)
         size = quantity(max(sizes), sensor_of(axes[0]), 'signal')
-        time = one.settling.time * tau0
-        if one.left > MOST_LEFT:
-            longer = time * math.log(one.left / MOST_LEFT)
+        time = sensor_settling.settling.time * tau0
+        if sensor_settling.left > MOST_LEFT:
+            longer = time * math.log(sensor_settling.left / MOST_LEFT)
             needed = max(r.samples for r in sums.recordings) * tau0 + longer
-            out.append(finding('not_settled', axes, size=size, time=time, how_long=needed))
+            findings.append(finding('not_settled', axes, size=size, time=time, how_long=needed))
         else:
-            out.append(finding('settling', axes, size=size, time=time))
-    return out
+            findings.append(finding('settling', axes, size=size, time=time))
+    return findings
 
 
 # --- findings about the level ---------------------------------------------------------------------
@@ -187,7 +188,7 @@ def _with_scatter(
 def level_findings(sums: AllanSums, levels: PeriodLevels, model: NoiseModel) -> list[Finding]:
     """Return a finding for each axis whose white noise varies between the periods."""
     place = 'between recordings' if len(sums.recordings) > 1 else 'within the recording'
-    found = []
+    findings = []
     for i, axis in enumerate(sums.axes):
         low, high = levels.extremes(i)
         n = model.axes[axis].noise['N']
@@ -196,5 +197,5 @@ def level_findings(sums: AllanSums, levels: PeriodLevels, model: NoiseModel) -> 
         least_ratio = LEVEL_RATIO if levels.varies(i, levels.spread(i)) else LARGE_RATIO
         if high > least_ratio * low:
             numbers = {'low': n.value * low, 'high': n.value * high, 'value': n.value}
-            found.append(finding('level_changes', (axis,), which=place, **numbers))
-    return found
+            findings.append(finding('level_changes', (axis,), which=place, **numbers))
+    return findings

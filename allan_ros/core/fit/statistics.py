@@ -134,7 +134,7 @@ def contrasts(size: Size) -> Floats:
     return np.asarray(q[:, len(excluded) :])
 
 
-@lru_cache(maxsize=24)  # a recording has at most 8 groups of segments, or 18 groups of pieces
+@lru_cache(maxsize=24)  # sums have at most 8 groups of segments, or 18 groups of pieces
 def _transformed(size: Size) -> Floats:
     """Return the Fourier transform of the contrasts, (rows, contrasts): real, then imaginary parts.
 
@@ -146,22 +146,25 @@ def _transformed(size: Size) -> Floats:
     return np.concatenate([f.real, f.imag])
 
 
-@lru_cache(maxsize=96)  # the processes of a fit, and the most recent shapes of a search
+@lru_cache(maxsize=96)  # for the processes of a fit, and the most recent shapes of a search
 def _low_covariances(process: Process, step: int, sizes: Sizes) -> list[Floats]:
     """Return the covariance of the contrasts of block means for unit noise, for each size."""
     return _covariances_of(process.gamma, step, sizes)
 
 
 def _covariances_of(gamma: Gamma, step: int, sizes: Sizes) -> list[Floats]:
-    """Return the covariance of the contrasts of block means, for each size."""
+    """Return the covariance of the contrasts of block means with the autocovariance ``gamma``.
+
+    There is one matrix for each size.
+    """
     lags = gamma(step, np.arange(max((size.points for size in sizes), default=0)))
-    found = []
+    covariances = []
     for size in sizes:
         values = lags[: size.points]
         eigenvalues = np.fft.rfft(np.concatenate([values, values[-1:], values[:0:-1]])).real
         v = _transformed(size)
-        found.append(v.T @ (np.concatenate([eigenvalues, eigenvalues])[:, None] * v))
-    return found
+        covariances.append(v.T @ (np.concatenate([eigenvalues, eigenvalues])[:, None] * v))
+    return covariances
 
 
 class Group(NamedTuple):
@@ -252,10 +255,10 @@ class Statistics:
         length = self.replaced[:, 0]
         is_short = length[:, None] <= MAX_INTERPOLATED * sizes  # (stretches, octaves)
         first_octave = np.argmax(np.column_stack([is_short, np.ones(len(length), bool)]), axis=1)
-        out = []
+        columns = []
         for stretches_per_sample in self.replaced[:, 2:].T / max(self.samples, 1):
             if not stretches_per_sample.any():
-                out.append(Column(power, low))
+                columns.append(Column(power, low))
                 continue
             share_of_ends = stretches_per_sample @ np.where(is_short, 0.0, sizes / 2.0)
             excluded_share = stretches_per_sample @ np.where(
@@ -270,8 +273,8 @@ class Statistics:
                 of_axis = of_axis + excess
             gamma = replaced_excess(self.replaced, stretches_per_sample)
             low_excess = _covariances_of(gamma, self.step, self.sizes)
-            out.append(Column(of_axis, [a + b for a, b in zip(low, low_excess)]))
-        return out
+            columns.append(Column(of_axis, [a + b for a, b in zip(low, low_excess)]))
+        return columns
 
     def dof_of(self, axis: int) -> Floats:
         """Return the degrees of freedom of the bins of an axis, (bins,)."""
@@ -335,10 +338,10 @@ class Settling:
 def statistics(sums: AllanSums, settling: Settling | None = None) -> Statistics:
     """Return the statistics of Allan sums, in which a settling has no effect on a fit.
 
-    A settling is an exponential change of the bias after the start of the IMU. The contrasts of the
-    block means are orthogonal to the exponential of the settling, so that the size of the settling
-    has no effect. The share of the settling in the power of the octave spectra is computed, and a
-    fit subtracts it.
+    A settling is an exponential change of the bias after the start of a recording. The contrasts of
+    the block means are orthogonal to the exponential of the settling, so that the size of the
+    settling has no effect. The share of the settling in the power of the octave spectra is
+    computed, and a fit subtracts it.
     """
     spectra = pooled_spectra(sums)
     longest = max((m.samples for r in sums.recordings for m in r.means), default=0)
@@ -393,14 +396,15 @@ def settling_power(sums: AllanSums, settling: Settling, octaves: int) -> Floats:
     power = [np.zeros((0, len(sums.axes)))]
     for o in range(octaves):
         step, size, bins = octave(o)
-        of_block = np.abs(tapers(size, bins) @ decay_of_means(settling.time, step, size)) ** 2
+        block_power = np.abs(tapers(size, bins) @ decay_of_means(settling.time, step, size)) ** 2
         hop = octave(o).length // 2
         total = np.zeros(len(sums.axes))
         for start, samples in segments:
             blocks = max(samples // hop - 1, 0)
-            exponent = -2.0 * hop / settling.time  # of the ratio of the power of successive blocks
-            total += start**2 * math.expm1(exponent * blocks) / math.expm1(exponent)
-        power.append(of_block[:, None] * total)
+            # logarithm of the ratio of the powers of two successive blocks
+            log_ratio = -2.0 * hop / settling.time
+            total += start**2 * math.expm1(log_ratio * blocks) / math.expm1(log_ratio)
+        power.append(block_power[:, None] * total)
     return np.concatenate(power)
 
 
@@ -455,9 +459,9 @@ def _coarser(y: Floats, factor: int) -> Floats:
 
 def _lengths(points: int) -> list[int]:
     """Divide ``points`` into as few pieces as possible; return their lengths of 4, 6, 8, 12 ..."""
-    out, sizes = [], sorted((s << k for k in range(9) for s in (4, 6)), reverse=True)
+    lengths, sizes = [], sorted((s << k for k in range(9) for s in (4, 6)), reverse=True)
     for size in sizes:
         while points >= size:
-            out.append(size)
+            lengths.append(size)
             points -= size
-    return out
+    return lengths

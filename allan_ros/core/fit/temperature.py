@@ -32,7 +32,8 @@ from .result import AxisFit, NoiseModel
 from .statistics import Floats, Ints, statistics
 
 TEMPERATURE_RESOLVED = 0.01
-"""Probability of the F test of b1 and b2 below which a bias depends on temperature, per axis."""
+"""The bias of an axis depends on temperature if the probability of the F test of b1 and b2 is below
+this value."""
 
 LEAST_RANGE_K = 3.0
 """Least range of the temperature within a recording, in K, for which a model is fitted."""
@@ -49,14 +50,14 @@ RATE_BLOCKS = 8
 
 LONGEST_PAUSE_S = 120.0
 """Longest time in s between two temperature readings over which the temperature is interpolated. If
-two blocks are longer than this, the limit is two blocks."""
+two blocks last longer than this time, the limit is the duration of two blocks."""
 
 SLOW = 2.0
 """Least correlation time, or half period, in blocks, of a process that may be an effect of the
 temperature, and is therefore omitted. Faster processes have known coefficients."""
 
 NOISE: tuple[Process, ...] = (White(), Flicker(), RandomWalk())
-"""Terms in the noise of the block means. They are the first processes of a fit in this module."""
+"""Terms in the noise of the block means: the first processes of each fit in this module."""
 
 KNOWN_DOF = 1e4
 """Degrees of freedom of a coefficient that is known from the fit of all data. The error of such a
@@ -152,20 +153,20 @@ class _Blocks(NamedTuple):
 
     @property
     def parts(self) -> list[Ints]:
-        """Indices of the blocks of each recording."""
+        """Indices of the blocks of each recording, one array per recording."""
         return [np.flatnonzero(self.recording == r) for r in np.unique(self.recording)]
 
     @property
     def rate(self) -> Floats:
         """Slope of the temperature over `RATE_BLOCKS` blocks, in K per block, (n,)."""
-        out = np.zeros(len(self.time))
+        slopes = np.zeros(len(self.time))
         for part in self.parts:
             time, celsius = self.time[part], self.celsius[part]
-            for i, at in enumerate(part.tolist()):
+            for i, index in enumerate(part.tolist()):
                 is_near = np.abs(time - time[i]) <= RATE_BLOCKS / 2.0
                 t = time[is_near] - time[is_near].mean()
-                out[at] = float(t @ celsius[is_near]) / max(float(t @ t), 1e-300)
-        return out
+                slopes[index] = float(t @ celsius[is_near]) / max(float(t @ t), 1e-300)
+        return slopes
 
 
 def temperature_models(
@@ -204,15 +205,15 @@ def temperature_models(
         trend[part, 2 * r] = 1.0
         trend[part, 2 * r + 1] = blocks.time[part] - blocks.time[part].mean()
     basis, known, tau0 = _complement(trend), statistics(sums), model.tau0
-    found = {}
+    models = {}
     for i, axis in enumerate(sums.axes):
         if not model.axes[axis].noise['N'].value:
             continue
         contrasts = _contrasts(AxisData.of(known, i), model.axes[axis], tau0, blocks, basis)
-        of_axis = _model(contrasts, tau0, blocks, effects, basis)
-        if of_axis is not None:
-            found[axis] = of_axis
-    return found, []
+        axis_model = _model(contrasts, tau0, blocks, effects, basis)
+        if axis_model is not None:
+            models[axis] = axis_model
+    return models, []
 
 
 def _blocks(sums: AllanSums, time_ns: Ints, celsius: Floats) -> _Blocks:
@@ -222,16 +223,16 @@ def _blocks(sums: AllanSums, time_ns: Ints, celsius: Floats) -> _Blocks:
     while sum(m.samples // step for _, m in segments) > MOST_MEANS:
         step *= 2
     tau0 = sums.tau0 or 1.0
-    rows = []
+    columns_of_segments = []
     origin = segments[0][1].start_ns if segments else 0
     for r, m in segments:
         values = m.coarser(step).values + sums.recordings[r].reference
         time = (m.start_ns - origin) * 1e-9 / (step * tau0) + np.arange(len(values)) + 0.5
-        rows.append((np.full(len(values), r), time, values))
-    if not rows:
+        columns_of_segments.append((np.full(len(values), r), time, values))
+    if not columns_of_segments:
         empty = np.zeros(0)
         return _Blocks(step, np.zeros(0, np.int64), empty, empty, empty, empty)
-    recording, time, values = (np.concatenate(column) for column in zip(*rows))
+    recording, time, values = (np.concatenate(column) for column in zip(*columns_of_segments))
     reading_times = (time_ns - origin) * 1e-9 / (step * tau0)
     times_in_block = time[:, None] + (np.arange(8) - 3.5) / 8.0
     temperatures = np.interp(times_in_block, reading_times, celsius, np.nan, np.nan)
@@ -268,7 +269,7 @@ def _block_noise(fit: AxisFit, tau0: float, step: int) -> _BlockNoise:
 
     The coefficients of white noise and fast processes are known from the fit of all data, because
     block means cannot resolve them. White noise includes aliases of sinusoids. Slower processes are
-    omitted: they may be effects of the temperature.
+    omitted, because they may be effects of the temperature.
     """
     white = fit.model.value('N') ** 2 / tau0
     fast_variances: dict[Process, float] = {}
@@ -376,14 +377,15 @@ class _Contrasts:
     def regression(self, fit: Fit, effects: Floats) -> _Effects:
         """Return the sizes of effects, estimated by generalized least squares.
 
-        Each column of ``effects``, (contrasts, effects), has the contrasts of one effect of size 1.
+        Each column of ``effects``, (contrasts, effects), contains the contrasts of an effect of
+        size 1.
         The covariance and its degrees of freedom take the errors of the fitted noise into account
         (Kenward & Roger, Biometrics 53, 1997; Satterthwaite).
         """
         covariances = self.covariances
         precision = np.linalg.inv(np.tensordot(fit.p, covariances, 1))
         weighed = precision @ effects
-        covariance = inverse(effects.T @ weighed)  # singular for only two temperatures
+        covariance = inverse(effects.T @ weighed)  # the matrix is singular for two temperatures
         gain = covariance @ weighed.T
         gain_covariances = gain @ covariances  # (processes, effects, contrasts)
         errors = inverse(fit.information)
@@ -400,7 +402,7 @@ class _Contrasts:
 def _contrasts(
     data: AxisData, fit: AxisFit, tau0: float, blocks: _Blocks, basis: Floats
 ) -> _Contrasts:
-    """Return the contrasts of one axis.
+    """Return the contrasts of the block means of one axis.
 
     The columns of ``basis``, (blocks, contrasts), are orthogonal to a constant and a line in time.
     """
@@ -430,17 +432,17 @@ def _model(
 
     scale, columns = contrasts.data.scale, basis.T @ effects
     corrected = contrasts.fitted(_complement(columns))
-    found = contrasts.regression(corrected.fit, columns)
-    slopes, slope_covariance = found.values[:2], found.covariance[:2, :2]
+    estimates = contrasts.regression(corrected.fit, columns)
+    slopes, slope_covariance = estimates.values[:2], estimates.covariance[:2, :2]
     test = slopes @ np.linalg.solve(slope_covariance, slopes) / 2.0
-    values, covariance = found.values * math.sqrt(scale), found.covariance * scale
-    # the error of the level: white noise of the mean of all blocks, and the errors of the effects
+    values, covariance = estimates.values * math.sqrt(scale), estimates.covariance * scale
+    # the variance of the level contains white noise of all block means, and errors of the effects
     y, mean_effects = blocks.values[:, contrasts.data.axis], effects.mean(axis=0)
     white = float(corrected.fit.p[NOISE.index(White())]) * scale / blocks.step
     level = float(y.mean() - mean_effects @ values)
     level_variance = white / len(y) + mean_effects @ covariance @ mean_effects
-    level_half_width = float(half_widths(level_variance, found.dof.min()))
-    effect_half_widths = half_widths(np.diag(covariance), found.dof)
+    level_half_width = float(half_widths(level_variance, estimates.dof.min()))
+    effect_half_widths = half_widths(np.diag(covariance), estimates.dof)
     b1_ci95, b2_ci95, hysteresis_ci95 = (
         (float(v - h), float(v + h)) for v, h in zip(values, effect_half_widths)
     )
@@ -464,7 +466,7 @@ def _model(
         hysteresis=float(values[2]),
         hysteresis_ci95=hysteresis_ci95,
         rate=float(np.abs(blocks.rate).mean()) / (blocks.step * tau0),
-        resolved=bool(fdtrc(2.0, found.dof[:2].min(), test) < TEMPERATURE_RESOLVED),
+        resolved=bool(fdtrc(2.0, estimates.dof[:2].min(), test) < TEMPERATURE_RESOLVED),
         explained=min(max(1.0 - left_drift / drift, 0.0), 1.0) if has_drift else None,
         averaging_time=blocks.step * tau0,
         measured=contrasts.fitted(np.eye(len(columns))).slow_noise(tau0),
