@@ -196,7 +196,7 @@ class AxisResult:
         return {name: np.sqrt(avar) for name, avar in parts.items() if np.all(avar >= 0.0)}
 
     def limit_adev(self, m: ArrayLike) -> dict[str, NDArray[np.float64]]:
-        """Return the Allan deviation of the terms that the model omits, at their 95 % upper limits.
+        """Return the Allan deviation of each term that is 0 in the model, at its 95 % upper limit.
 
         ``m`` are averaging factors, which are averaging times in samples. The result maps terms to
         Allan deviations in SI, (factors,).
