@@ -389,7 +389,7 @@ def _nanoseconds(where: object, times: Any, scale: int) -> NDArray[np.int64]:
         return values.astype(f'{values.dtype.kind}8[ns]').astype(np.int64)
     with np.errstate(all='ignore'):
         in_ns = _numbers(values)[:, 0] * scale
-    is_invalid = ~(np.abs(in_ns) < np.iinfo(np.int64).max)  # also for NaN
+    is_invalid = ~(np.abs(in_ns) < np.iinfo(np.int64).max)  # true for NaN, too
     if is_invalid.any():
         raise AllanError(
             f'{where}: the time of row {int(np.argmax(is_invalid))} is not a valid stamp: correct '

@@ -93,7 +93,7 @@ class Bag:
         """
         if self._open is None or self._open[0] != file:
             self.close()
-            with ExitStack() as stack:  # closes everything when opening fails
+            with ExitStack() as stack:  # closes the file if opening fails
                 self._open = file, self._opened(file, stack)
                 self._stack.enter_context(stack.pop_all())
         return self._open[1]

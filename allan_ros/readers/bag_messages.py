@@ -183,7 +183,7 @@ def decompress_file(source: Path, compression: str, target: Path) -> None:
         target.open('wb') as out,
     ):
         limit = os.fstat(file.fileno()).st_size * MAX_FILE_RATIO + MAX_CHUNK_BYTES
-        # the longest header has 18 bytes (RFC 8878, 3.1.1)
+        # the longest zstd header has 18 bytes (RFC 8878, 3.1.1)
         stated = _stated_size(file.read(18), compression)
         file.seek(0)
         plain = _expanding(file, compression)

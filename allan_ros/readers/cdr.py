@@ -160,7 +160,7 @@ def decode_imus(
             for i, axis in enumerate(range(len(AXES))[axes]):
                 decoded.samples[rows, axis] = records[sensor][:, i]
             variances = records[f'{sensor}_covariance'][:, 0].copy()
-            if not variances.min() >= 0.0:  # also for NaN
+            if not variances.min() >= 0.0:  # true for NaN, too
                 is_absent = (variances == ABSENT) | np.isnan(variances)
                 _drop_absent(decoded, sensor, np.arange(n)[rows][is_absent])
         distinct, indices = _distinct(records['frame_id'])

@@ -423,7 +423,7 @@ def _meaning(name: str) -> Meaning:
     spelled = bracket or groups['unit'] or groups.get('inner') or ''
     unit = unit_named(spelled, _SPELLINGS[kind])
     if kind in SENSORS and unit and unit not in SAMPLE_UNITS[kind]:
-        unit = ''  # a unit of the other sensor
+        unit = ''  # this is a unit of the other sensor
     is_no_unit = kind not in (*SENSORS, 'temperature') and plain_unit(spelled) in NO_UNITS
     unknown = spelled if spelled and not unit and not is_no_unit else ''
     return Meaning(kind, groups.get('axis') or '', unit or implied_unit, unknown, is_si)

@@ -29,7 +29,7 @@ P = ParamSpec('P')
 T = TypeVar('T')
 
 PATH = (str, os.PathLike)
-"""Types that are accepted as a path."""
+"""Types of arguments that are accepted as a path."""
 
 LONGEST_NAME = 255
 """Largest number of bytes in a file name (NAME_MAX of Linux)."""

@@ -99,11 +99,11 @@ class Contents:
     """Topics, message types and message counts according to the records of a file."""
 
     topics: dict[int, Topic] = field(default_factory=dict)
-    schemas: dict[int, str] = field(default_factory=dict)  # number -> name of the type
-    counted: Counter[int] = field(default_factory=Counter)  # channel -> number of records read
+    schemas: dict[int, str] = field(default_factory=dict)  # number of a schema -> message type
+    counted: Counter[int] = field(default_factory=Counter)  # channel -> number of messages read
     # channel -> number of messages according to the Statistics record
     stated: Counter[int] = field(default_factory=Counter)
-    totals: tuple[int, ...] = ()  # numbers of `STATISTICS_HEAD`; empty without a Statistics record
+    totals: tuple[int, ...] = ()  # fields of `STATISTICS_HEAD`; empty without a Statistics record
 
     def add(self, opcode: int, data: bytes, at: int, stop: int) -> None:
         """Count the message, or store the schema, channel or statistics in ``data[at:stop]``."""
@@ -125,7 +125,7 @@ class Contents:
             self.stated = Counter(dict(struct.iter_unpack('<HQ', data[at : min(at + size, stop)])))
 
     def check(self, opcode: int, data: bytes, at: int) -> None:
-        """Raise ValueError if a schema or channel in a chunk contradicts the stored ones."""
+        """Raise ValueError if a schema or channel in a chunk differs from the stored one."""
         found = Contents(schemas=dict(self.schemas))
         found.add(opcode, data, at, at)
         for number, schema in self.schemas.items():

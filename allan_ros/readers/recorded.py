@@ -400,7 +400,7 @@ def read_in_processes(
 @contextmanager
 def _interrupts_blocked() -> Iterator[None]:
     """Block SIGINT in this process, and in all processes that are started within the context."""
-    if not hasattr(signal, 'pthread_sigmask'):  # not on Windows
+    if not hasattr(signal, 'pthread_sigmask'):  # Windows has no signal masks
         yield
         return
     previous_mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})

@@ -26,7 +26,7 @@ BLOCK_ROWS = 4 * FETCHED_ROWS
 """Number of messages that are decoded together."""
 
 _LIBRARY_ERRORS = (sqlite3.Error, OSError, OverflowError, ValueError, TypeError, AttributeError)
-"""Exceptions that a damaged database can cause, for example because a value has another type."""
+"""Exceptions that a damaged database can cause, for example because of a value of another type."""
 
 REMEDY = 'copy it again, or repair it with "sqlite3 FILE .recover"'
 
@@ -129,7 +129,7 @@ def open_storage(path: Path, shown: Path) -> Iterator[Sqlite3Storage]:
         mode = 'immutable=1'
         if log.is_file() and log.stat().st_size:
             mode, size = 'mode=ro', None
-            if not shared_memory.is_file():  # SQLite would create it and not remove it
+            if not shared_memory.is_file():  # SQLite would create this file and not remove it
                 folder = stack.enter_context(tempfile.TemporaryDirectory(prefix='allan_ros.'))
                 path = _copied(path, log, Path(folder), shown)
         with translated(shown, _LIBRARY_ERRORS, REMEDY):

@@ -99,7 +99,8 @@ def _parsed(path: Path) -> Any:
 class _Limited:
     """A file object whose content ends after `MAX_SEEKS` seeks.
 
-    The parser seeks back once for each byte of a damaged part of the log, which takes very long.
+    The parser seeks back once for each byte of a damaged part of the log. Without a limit, parsing
+    such a part takes very long.
     """
 
     def __init__(self, file: BinaryIO) -> None:

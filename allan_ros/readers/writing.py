@@ -29,7 +29,8 @@ BAG_FILES = {'.mcap': 'MCAP', '.db3': 'SQLITE3'}
 """Suffix of a bag in a single file, without metadata.yaml -> storage plugin of rosbags."""
 
 METADATA_VERSION = 8
-"""Version of metadata.yaml that ROS 2 Jazzy writes."""
+"""Version of the metadata.yaml that is written. Distributions before ROS 2 Jazzy cannot read the
+QoS of topics in version 9."""
 
 
 def write_recording(

@@ -172,7 +172,7 @@ class Datasheet:
     measured: tuple[Measured, ...] = ()
 
     def values(self) -> dict[str, dict[str, float]]:
-        """Return axis -> term -> limit in SI."""
+        """Return the limits in SI: axis -> term ('N', 'B') -> value."""
         return {
             axis: {term: limit.value for term, limit in terms.items()}
             for axis, terms in self.limits.items()

@@ -25,8 +25,8 @@ if TYPE_CHECKING:
     from .results import Results
 
 LEAST_REST_S = 60.0
-"""Shortest data at rest in s for a result. From shorter data, the noise at rest is not known well
-enough to compare the noise in motion with it."""
+"""Shortest duration of the data at rest, in s, for which the noise in motion is computed. From
+shorter data, the noise at rest is not known well enough for a comparison."""
 
 MOVING = 0.1
 """Smallest share of samples in motion in a recording of drives. With a smaller share, no finding

@@ -27,7 +27,8 @@ class Decision(IntEnum):
 WORST_FIRST = (
     *(Decision.BUG, Decision.EXCEEDS, Decision.UNREADABLE, Decision.NOT_JUDGED, Decision.WITHIN),
 )
-"""Decisions, the most severe first. The decision about a batch of IMUs is the first that occurs."""
+"""Decisions, the most severe first. The decision about a batch of IMUs is the most severe decision
+about one of its IMUs."""
 
 DECISION_WORDS = {
     Decision.WITHIN: 'healthy',

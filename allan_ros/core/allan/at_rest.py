@@ -34,8 +34,8 @@ HALF_POWER = 0.5
 
 SMOOTHED_BINS, LEAST_DOF = 5, 40.0
 """Number of neighboring bins of which the median power is taken, and fewest degrees of freedom of
-each of these bins. The median power of white noise is then below `HALF_POWER` with a probability of
-1e-6."""
+each of these bins. With these numbers, the median power of white noise is below `HALF_POWER` with a
+probability of 1e-6."""
 
 
 @dataclass(frozen=True)

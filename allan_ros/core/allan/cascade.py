@@ -168,7 +168,10 @@ class _HalfBlocks:
 
 
 class _Rows(NamedTuple):
-    """Rows of an octave in a matrix of half blocks, which are sorted by axis, then by time."""
+    """Range of the rows of one octave in a matrix with one row for each half block.
+
+    The rows are sorted by axis, then by time.
+    """
 
     octave: int
     half: int  # samples per half block
@@ -178,7 +181,7 @@ class _Rows(NamedTuple):
 
 
 class _Layout(NamedTuple):
-    """Rows of the half blocks of a group of octaves, for n points of a level."""
+    """Rows of several octaves in a matrix that has one row for each half block in n points."""
 
     octaves: list[_Rows]  # without the octaves whose half blocks are longer than n
     firsts: Ints  # (octaves * axes,) row of the first half block
@@ -187,7 +190,7 @@ class _Layout(NamedTuple):
 
 @lru_cache(256)
 def _layout(octaves: range, axes: int, n: int) -> _Layout:
-    """Return the rows of the half blocks of a group of octaves, for n points of a level."""
+    """Return the rows of several octaves in a matrix of the half blocks in n points."""
     rows: list[_Rows] = []
     for o in octaves:
         half, begin = octave(o).size // 2, rows[-1].end if rows else 0
@@ -201,9 +204,9 @@ def _layout(octaves: range, axes: int, n: int) -> _Layout:
 class _GroupSums(NamedTuple):
     """Power of the spectral blocks of a group of octaves that end in a chunk of points."""
 
-    power: Floats  # (bins of all octaves, axes)
-    blocks: list[int]  # number of blocks of each octave
-    pairs: list[int]  # number of pairs of overlapping blocks of each octave
+    power: Floats  # (bins of all octaves, axes), in the squared unit of the samples
+    blocks: list[int]  # number of spectral blocks of each octave
+    pairs: list[int]  # number of pairs of overlapping spectral blocks of each octave
     last: _HalfBlocks  # the last half block of each octave
 
 
@@ -211,8 +214,8 @@ class _RunningLevel:
     """State of one level of the cascade in the current segment: the latest points and half blocks.
 
     ``points`` contains the last `_KEPT` points of earlier blocks, then the first ``fill`` points of
-    the current block. There is one row for each axis. The last row contains the number of
-    interpolated samples in each point.
+    the current block. There is one row for each axis, and a last row with the number
+    of interpolated samples in each point.
     """
 
     def __init__(self, level: int, rows: int) -> None:

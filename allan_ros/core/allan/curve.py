@@ -356,11 +356,12 @@ class Spectra:
     octave: Ints  # (bins,) octave of each bin
     f: Floats  # (bins,) center frequencies in cycles per sample
     power: Floats  # (bins, axes) in the squared unit of the samples
-    dof: Floats  # (bins,) degrees of freedom of the power of a bin
-    shared_dof: Floats  # (bins,) degrees of freedom of the power of a bin in a sum over all bins
-    clump: Floats  # (bins,) sum of the squared correlations of a bin with all bins of its block
-    blocks: Ints  # (octaves,) number of blocks
-    pairs: Ints  # (octaves,) number of pairs of overlapping blocks
+    dof: Floats  # (bins,) degrees of freedom of the mean power of a bin
+    shared_dof: Floats  # (bins,) degrees of freedom that a bin contributes to a sum over all bins
+    # (bins,) sum of the squared correlations of the mean power of a bin with all bins
+    clump: Floats
+    blocks: Ints  # (octaves,) number of spectral blocks
+    pairs: Ints  # (octaves,) number of pairs of overlapping spectral blocks
 
     @property
     def octaves(self) -> int:

@@ -201,7 +201,7 @@ def sums_from_document(document: object, where: str = 'sums') -> AllanSums:
 
 
 def _whole_table(fields: Fields, key: str, most: int, columns: int) -> Ints:
-    """Return a table of at most ``most`` rows of whole numbers of 0 or above."""
+    """Return a table, (rows, columns), of whole numbers of 0 or above; at most ``most`` rows."""
     values = fields.table(key, len(fields.sequence(key, most)), columns, least=0.0)
     if np.any(values >= MAX_INTEGER) or np.any(values % 1.0):
         raise AllanError(f'{fields.where}.{key} is expected to be a table of whole numbers')

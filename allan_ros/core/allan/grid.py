@@ -32,15 +32,15 @@ LEVEL_FACTORS = (8, 10, 12, 14)
 """Averaging factors of each level j of the cascade, in units of its stride, 2^j samples."""
 
 MAX_LEVELS = 42
-"""Largest accepted number of levels: 2^41 x 14 samples are 970 years at 1 kHz. With more levels,
-the lags of a covariance would not fit into 64-bit search keys."""
+"""Largest accepted number of levels. The longest averaging time is then 2^41 x 14 samples, which
+are 970 years at 1 kHz."""
 
 
 def grid(levels: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return the averaging factors m and the strides of a cascade with ``levels`` levels.
 
     The stride is the number of samples between the starts of successive second differences. Both
-    arrays have 5 + 4 ``levels`` elements.
+    arrays have 5 + 4 * ``levels`` elements.
     """
     m = [*FIRST_FACTORS, *(f << j for j in range(levels) for f in LEVEL_FACTORS)]
     stride = [1] * len(FIRST_FACTORS) + [1 << j for j in range(levels) for _ in LEVEL_FACTORS]
@@ -126,8 +126,8 @@ def bins_up_to(octaves: int) -> int:
 def tapers(size: int, bins: range) -> NDArray[np.complex128]:
     """Return the complex taper of each bin, (bins, size); the squares of a taper sum to 1.
 
-    The power of a block in all bins is |tapers @ block|^2. The window is power-complementary at an
-    overlap of one half. Each taper is orthogonal to a constant and to a line, so that an offset or
+    The power of a block in all bins is |tapers @ block|^2. The squares of two windows that overlap
+    by half add up to 1. Each taper is orthogonal to a constant and to a line, so that an offset or
     a slow drift adds no power.
     """
     t = np.arange(size)
@@ -150,7 +150,8 @@ def overlap(o: int) -> tuple[Floats, Floats]:
     a = tapers(size, range(1, 4 * LOW_BIN))
     next_tapers = np.zeros_like(a)  # tapers of the next block, where it overlaps this block
     next_tapers[:, size // 2 :] = a[:, : size // 2]
-    middle = (2 * LOW_BIN if o == 0 else LOW_BIN + LOW_BIN // 2) - 1  # row of bin 16 or 12
+    # row of bin 16 (octave 0) or bin 12 (other octaves)
+    middle = (2 * LOW_BIN if o == 0 else LOW_BIN + LOW_BIN // 2) - 1
 
     def covariance(x: NDArray[np.complex128], y: NDArray[np.complex128]) -> Floats:
         middle_taper = x[middle]

@@ -76,7 +76,8 @@ class _OpenSegment:
         self.age = age  # age of the first sample of the segment
         self.start_ns = self.last_ns = start_ns
         self.cascade = Cascade(first)
-        self.sums, self.step = np.zeros((len(first), 0)), 1  # sums: (axes, blocks)
+        # sums over blocks of samples, (axes, blocks), and number of samples per block
+        self.sums, self.step = np.zeros((len(first), 0)), 1
 
     def extended(self, block: Block) -> tuple[Floats, int]:
         """Return the sums and the step after the samples of a block of level 0 were added.

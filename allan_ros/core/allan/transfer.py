@@ -115,8 +115,8 @@ def cross_spectra(parts: Sequence[Floats]) -> tuple[Spectra, float]:
 def _leak(spectra: Spectra, blocks: float) -> float:
     """Return the largest share of the common signal in the power of a difference of two sensors.
 
-    All pairs of sensors are compared. ``blocks`` is the number of
-    independent blocks of the ``spectra``.
+    All pairs of sensors are compared. ``blocks`` is the number of independent blocks of the
+    ``spectra``.
     """
     sensor_count = spectra.shape[1]
     shares = [0.0]

@@ -107,7 +107,7 @@ def _lags(process: Process, number: int) -> Floats:
     return process.gamma(1, np.arange(number))
 
 
-@lru_cache(maxsize=4)  # all axes of an IMU have the same length
+@lru_cache(maxsize=4)  # all axes of an IMU have the same number of samples
 def _kept_lags(process: Process, number: int) -> Floats:
     gamma: Floats = process.gamma(1, np.arange(number))
     gamma.flags.writeable = False
@@ -115,7 +115,7 @@ def _kept_lags(process: Process, number: int) -> Floats:
 
 
 def _draw(eigenvalues: Floats, rng: np.random.Generator) -> Floats:
-    """Return a random stationary sequence, (2 half,), with a circulant covariance matrix.
+    """Return a random stationary sequence, (2 * half,), with a circulant covariance matrix.
 
     ``eigenvalues``, (half + 1,), are the eigenvalues of this matrix for frequencies from 0 to 1/2.
     The autocovariance of the sequence is correct for lags of up to ``half``, so that only half + 1
@@ -125,7 +125,8 @@ def _draw(eigenvalues: Floats, rng: np.random.Generator) -> Floats:
 
     size = 2 * (len(eigenvalues) - 1)
     spectrum = rng.standard_normal(2 * len(eigenvalues)).view(complex)
-    # the transform of a real sequence is real at the frequencies 0 and 1/2, with the full variance
+    # the transform of a real sequence is real at the frequencies 0 and 1/2, where the real part has
+    # the complete variance
     spectrum[[0, -1]] = spectrum.real[[0, -1]] * math.sqrt(2.0)
     spectrum *= np.sqrt(eigenvalues * (size / 2.0))
     return np.asarray(fft.irfft(spectrum, size, overwrite_x=True))

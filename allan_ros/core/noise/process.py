@@ -42,10 +42,10 @@ cannot be told from a slow drift."""
 class Parameter(NamedTuple):
     """One number of the shape of a process."""
 
-    name: str  # name of the field of the class
+    name: str  # name of the field of the process class
     unit: Literal['s', 'Hz']  # the time unit is the sample period in gamma, and 1 s in a `Model`
     largest_step: float  # largest change of the logarithm of the number in one step of a search
-    derivative_step: float  # change of the logarithm of the number in a numerical derivative
+    derivative_step: float  # change of the logarithm of the number for a numerical derivative
 
 
 CORRELATION_TIME = Parameter('correlation_time', 's', 0.7, 1e-3)
@@ -63,9 +63,9 @@ class States(NamedTuple):
     The coefficient of the process is 1.
     """
 
-    dynamics: Floats  # A, (states, states), per unit of time
+    dynamics: Floats  # matrix A, (states, states), per unit of time
     noise: Floats  # two-sided power spectral density of v, (states, states)
-    output: Floats  # c, (states,)
+    output: Floats  # vector c, (states,)
     initial: Floats  # covariance of x at the start, (states, states); a random walk starts from 0
 
 
@@ -99,7 +99,7 @@ class Search:
     shortest: float
 
     def narrowest(self, frequency: float) -> float:
-        """Return the correlation time from which a resonance cannot be told from a sinusoid.
+        """Return the shortest correlation time of a resonance that looks like a sinusoid in a fit.
 
         With this correlation time, the bandwidth of the resonance is a third of the width of a bin.
         """
@@ -135,7 +135,7 @@ class Process:
     """The SI unit of the coefficient is the unit of the samples times s to this power."""
 
     parameters: ClassVar[tuple[Parameter, ...]] = ()
-    """The numbers of the shape, in the order of the fields."""
+    """Descriptions of the numbers of the shape, in the order of the fields."""
 
     finding: ClassVar[str] = ''
     """Id of the finding that reports the process; '' if none does."""
@@ -245,7 +245,7 @@ class Process:
         return False
 
     def limit(self, search: Search) -> Process:
-        """Return the simpler process that this one becomes at a limit of its shape, or itself."""
+        """Return a simpler process if the shape is at a limit of its range, else this process."""
         return self
 
     def alias_variance(self, step: int) -> float:

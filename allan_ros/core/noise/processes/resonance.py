@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from ..process import CORRELATION_TIME, FREQUENCY, Floats, Parameter, Process, Search, States
 from .sinusoid import Sinusoid
 
-BANDWIDTHS = (1.0, 3.0)
+CANDIDATE_TIMES = (1.0, 3.0)
 """Correlation times of the candidates of a search, in units of 1.5 periods of the oscillation. A
 fitted correlation time is at least one period, because a resonance with a shorter correlation time
 imitates a low-pass filter."""
@@ -62,11 +62,11 @@ class Resonance(Process):
 
     @property
     def slowest_time(self) -> float:
-        return 0.0  # fast compared with any drift
+        return 0.0  # a resonance is fast compared with any drift
 
     def is_broad_near(self, highest: float) -> bool:
         periods = self.frequency * self.correlation_time
-        return self.frequency > highest / 4.0 and periods < 2.0 * BANDWIDTHS[0]
+        return self.frequency > highest / 4.0 and periods < 2.0 * CANDIDATE_TIMES[0]
 
     def facts(self, value: float) -> dict[str, float]:
         width = 1.0 / (math.pi * self.correlation_time)
@@ -81,12 +81,12 @@ class Resonance(Process):
     def grid(cls, search: Search) -> Iterator[Process]:
         """Yield resonances at the frequencies of the bins above twice the crossover frequency."""
         f = search.f[search.f > 2.0 * search.crossover]
-        return (cls(float(x), float(1.5 * c / x)) for x in f for c in BANDWIDTHS)
+        return (cls(float(x), float(1.5 * c / x)) for x in f for c in CANDIDATE_TIMES)
 
     def bounds(self, parameter: Parameter, search: Search) -> tuple[float, float]:
         if parameter is FREQUENCY:
             return super().bounds(parameter, search)
-        low = BANDWIDTHS[0] / self.frequency
+        low = CANDIDATE_TIMES[0] / self.frequency
         return low, max(search.narrowest(self.frequency), low)
 
     def limit(self, search: Search) -> Process:
