@@ -205,8 +205,8 @@ def are_ordered(samples: ImuBatch) -> bool:
     stamps = samples.stamps_ns
     if len(stamps) > 1 and not has_time(np.sort(stamps)):
         return False
-    backward = np.diff(StampSorter.all_sorted(ImuBatch(stamps, samples.samples)).stamps_ns) < 0
-    return bool(np.count_nonzero(backward) <= DISORDERED_SHARE * len(stamps))
+    is_backward = np.diff(StampSorter.all_sorted(ImuBatch(stamps, samples.samples)).stamps_ns) < 0
+    return bool(np.count_nonzero(is_backward) <= DISORDERED_SHARE * len(stamps))
 
 
 class CoveredTime:
@@ -267,7 +267,7 @@ class SampleFilter:
     def __init__(self, plan: SensorPlan, counts: Counts) -> None:
         self._drop = plan.drop
         self._axes = [AXES.index(axis) for axis in plan.axes]
-        # values of the last sample, before samples that repeat it are excluded
+        # values of the last received sample, with which the next sample is compared
         self._measured: Floats = np.full(len(self._axes), np.nan)
         self._counts = counts
         self._latest: int | None = None  # stamp of the last sample that was returned
@@ -394,7 +394,7 @@ class RepeatFilter:
         interpolated = ImuBatch.of_rows(
             buffered.stamps_ns, rows, filled=filled if filled.any() else None
         )
-        # a repeat that begins before these samples is too long to be interpolated
+        # a run of repeats that begins before these samples is too long to be interpolated
         first_kept = max(0, end - LONGEST_REPEAT - 1)
         self._samples = buffered.part(slice(first_kept, None)).copy()
         self._returned = end - first_kept

@@ -69,7 +69,7 @@ def without_spikes(
     samples = rows.reshape(len(rows), -1, size)[axes, window_at]
     median = np.median(samples, axis=1)
     sigma = MAD_TO_SIGMA * np.median(np.abs(samples - median[:, None]), axis=1)
-    # where the noise exceeds the noise floor by more than the error of sigma, spikes are higher
+    # where the noise exceeds the noise floor significantly, the threshold of a spike is higher
     has_more_noise = SPIKE_SIGMAS * sigma > (1.0 + 5.0 / np.sqrt(size)) * threshold[axes]
     height = np.where(has_more_noise, SPIKE_SIGMAS * sigma, threshold[axes])
     deviates = np.abs(samples - median[:, None]) > height[:, None]
@@ -126,7 +126,7 @@ class RestLevel:
         self._means: deque[Floats] = deque(maxlen=LEVEL_WINDOWS + 1)
 
     def add(self, means: Floats, size: int) -> None:
-        """Add the means, (axes, k), of windows of ``size`` samples at rest, in their unit."""
+        """Add the means, (axes, k), of windows of ``size`` samples, in the unit of the samples."""
         self.rest += means.shape[1] * size
         self._means.extend(means[:, -LEVEL_WINDOWS - 1 :].T)
 
@@ -138,8 +138,8 @@ class RestLevel:
 class Motion:
     """A motion that begins at the stamp ``began_ns`` in ns, and its windows up to now.
 
-    ``kind`` is the kind of the `Event` of the motion. ``level`` contains the means before the
-    motion in its segment. It is None if the motion is known to be no shock.
+    ``kind`` is the kind of the `Event` of the motion. ``level`` contains the means of the segment
+    before the motion, and is None if the motion is known to be no shock.
     """
 
     def __init__(self, kind: str, began_ns: int, level: RestLevel | None = None) -> None:
@@ -156,7 +156,7 @@ class Motion:
         # means of the latest windows of the motion, (axes,) each
         self._after: deque[Floats] = deque(maxlen=LEVEL_WINDOWS)
         self._samples = 0  # number of samples of the motion
-        self._total: float | Floats = 0.0  # sum of these samples, (axes,)
+        self._total: float | Floats = 0.0  # sum of the samples of the motion, (axes,)
 
     def add(self, window: ImuBatch, mean: Floats, found: WindowClass) -> None:
         """Add the next window, its mean, (axes,), and its class."""

@@ -65,10 +65,10 @@ NO_DRIVES = Drives()
 class _Pending(NamedTuple):
     """A drive whose second rest is not complete."""
 
-    start: float  # time of the first sample in s
-    rows: Floats  # samples, (n, 6)
-    before: Rest  # the first rest
-    follows: bool  # whether the previous drive ended at the first rest
+    start: float  # time of the first sample of the drive in s
+    rows: Floats  # samples of the drive, (n, 6)
+    before: Rest  # the rest before the drive
+    follows: bool  # whether the previous drive ended at the rest before this drive
 
 
 class DriveRecorder:
@@ -188,7 +188,7 @@ class DriveRecorder:
     def _errors(self, pending: _Pending, second_rest: Rest) -> DriveErrors:
         """Return the errors of a drive, from means of samples at `MOST_RATE` or less."""
         rows, k = pending.rows, max(math.ceil(1.0 / (self._tau0 * MOST_RATE) - 1e-9), 1)
-        # up to k - 1 samples are omitted; they are in the margin that motion detection adds
+        # up to k - 1 samples are omitted, which are in the margin of the motion before the rest
         averaged = len(rows) // k * k
         means = rows[:averaged].reshape(-1, k, len(AXES)).mean(axis=1)
         gyro, accel, tau0 = means[:, :3], means[:, 3:], k * self._tau0

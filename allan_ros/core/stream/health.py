@@ -121,7 +121,7 @@ class Counts:
 
 
 class Event(NamedTuple):
-    """A time when the IMU was not at rest.
+    """A time whose samples were excluded or replaced: a motion, a shock, or a change of the noise.
 
     ``kind`` is 'shock', 'motion', 'stuck' (an axis repeats one value), 'noise_increased' (the noise
     increased at rest) or 'noise_decreased' (the noise of an axis became much smaller, or the axis
@@ -136,7 +136,7 @@ class Event(NamedTuple):
 
 
 class Segment(NamedTuple):
-    """Static samples without a gap between them, the first of which has the stamp ``start_ns``.
+    """Used samples without a gap between them, the first of which has the stamp ``start_ns``.
 
     ``cut`` is the reason for the split before the segment, such as 'gap' or 'motion'; '' for the
     first segment.
@@ -207,7 +207,7 @@ class StreamHealth:
 
     @property
     def still_share(self) -> float | None:
-        """Share of the classified samples that were at rest; None if no sample was classified."""
+        """Share of the classified samples that are used; None if no sample was classified."""
         c = self.counts
         classified = c.used + c.moving + c.stuck + c.noise_increased + c.noise_decreased
         return c.used / classified if classified else None
@@ -473,8 +473,8 @@ def unit_findings(sums: AllanSums) -> list[Finding]:
         if sensor == 'gyro' and columns:
             rate = float(np.abs(mean[columns]).max())
             tau = sums.m[is_below_1s, None] * sums.tau0
-            axis_n = np.sqrt(sums.avar[is_below_1s][:, columns] * tau)
-            n = float(np.median(axis_n.min(axis=0))) if len(tau) else 0.0
+            densities = np.sqrt(sums.avar[is_below_1s][:, columns] * tau)
+            n = float(np.median(densities.min(axis=0))) if len(tau) else 0.0
             if n > LARGEST_N or rate > LARGEST_REST_RATE:
                 unit = probable_gyro_unit(n)
                 found.append(finding('gyro_unit', axes, n=n, rate=rate, unit=unit))

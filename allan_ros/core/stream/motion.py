@@ -109,7 +109,7 @@ class MotionGate:
         self._rest = RestFilter(self.size, self._period_s, axes, levels, events, counts.splits)
         self._ratios = NoiseRatios(len(axes))
         self._learning: list[ImuBatch] = []  # samples before the noise floor is known
-        # samples after the last complete window; a window is complete with its look-ahead
+        # samples after the last window whose look-ahead is complete
         self._pending = ImuBatch.empty(len(axes))
         self._before = self._pending.rows  # the last samples before `_pending`
         # the latest windows at the present noise level, at most `BLOCK_WINDOWS`
@@ -326,7 +326,7 @@ class MotionGate:
         return True
 
     def _clipping_changes(self, rows: Floats) -> bool:
-        """Return whether other axes are clipped in the next samples, (axes, n), than before.
+        """Return whether different axes are clipped in the next samples, (axes, n), than before.
 
         Each group of `CHECKED_WINDOWS` windows up to a check is compared with the noise floor.
         """
@@ -369,7 +369,7 @@ class MotionGate:
             self._levels.present.floor = updated.with_outliers(usable)
 
     def _change_level(self) -> bool:
-        """Change the noise level if another one fits the latest windows; return if it changed."""
+        """Change the noise level if another level fits the latest windows; return whether so."""
         floor, other = self._rest.floor, self._levels.other
         recent = self._recent.last(CHECKED_WINDOWS)
         rows, windows = recent.rows, recent.windows
@@ -395,7 +395,7 @@ class MotionGate:
         return self._decreases_to(learned, recent) or self._has_increased()
 
     def _change_clipping(self, recent: RecentWindows) -> None:
-        """Begin another level, because other axes are clipped in the latest windows than before."""
+        """Begin another level, because different axes are clipped in the latest windows."""
         floor, learned = self._rest.floor, self._learned_floor(recent.samples)
         is_newly_clipped, variance = floor.newly_clipped(recent.rows), recent.windows.variance
         if is_newly_clipped.any():
@@ -406,7 +406,7 @@ class MotionGate:
             self._replace('moving', learned)
 
     def _decreases_to(self, learned: NoiseFloor, recent: RecentWindows) -> bool:
-        """Begin another level if the noise decreased without a known fault; return if it began.
+        """Begin another level if the noise decreased without a known fault; return whether so.
 
         ``learned`` is the noise floor of the latest windows. If the noise before was due to a
         motion, the present level is discarded.
@@ -427,7 +427,7 @@ class MotionGate:
         return bool(decreased_axes.any())
 
     def _has_increased(self) -> bool:
-        """Begin another level if the noise increased in the latest block; return if it began."""
+        """Begin another level if the noise increased in the latest block; return whether so."""
         block, floor = self._recent, self._rest.floor
         if len(block) < BLOCK_WINDOWS or not block.can_be_larger_noise:
             return False
@@ -459,14 +459,14 @@ class MotionGate:
         self._rest.name_motion('noise_increased', CHECKED_WINDOWS * self.size)
 
     def _replace(self, reason: Literal['moving', 'stuck'], floor: NoiseFloor) -> None:
-        """Discard the present level, and begin another one."""
+        """Discard the present noise level, and begin another noise level."""
         self._rest.end_segment()
         self._levels.replace_present(floor, reason)
         self._ratios.forget()
         self._begin_level('motion' if reason == 'moving' else 'stuck')
 
     def _try(self, floor: NoiseFloor, change: Change) -> None:
-        """Begin another level, whose sums are kept apart until it is accepted."""
+        """Begin another noise level, whose sums are kept apart until the level is accepted."""
         motion = self._rest.motion
         began_ns = motion.began_ns if motion is not None else self._recent.latest_ns
         self._rest.end_segment()
@@ -474,7 +474,7 @@ class MotionGate:
         self._begin_level(change)
 
     def _resume(self) -> None:
-        """Continue the other level."""
+        """Continue the other noise level, because its noise has returned."""
         self._rest.end_segment()
         change = self._levels.change
         began_ns = self._levels.resume()

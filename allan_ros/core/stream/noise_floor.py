@@ -142,11 +142,11 @@ class Windows:
 
         Samples after the last complete window are ignored.
         """
-        cube = rows[:, : rows.shape[1] // size * size].reshape(len(rows), -1, size)
-        mean = np.add.reduce(cube, axis=2) / size
-        from_mean = np.subtract(cube, mean[:, :, None], out=aligned(cube.shape))
-        variance = np.einsum('ijk,ijk->ij', from_mean, from_mean) / max(size - 1, 1)
-        peak = np.abs(from_mean, out=from_mean).max(axis=2)
+        windows = rows[:, : rows.shape[1] // size * size].reshape(len(rows), -1, size)
+        mean = np.add.reduce(windows, axis=2) / size
+        deviations = np.subtract(windows, mean[:, :, None], out=aligned(windows.shape))
+        variance = np.einsum('ijk,ijk->ij', deviations, deviations) / max(size - 1, 1)
+        peak = np.abs(deviations, out=deviations).max(axis=2)
         # the variance of constant samples is 0, but rounding of their mean makes it positive
         variance[variance <= (ROUNDING_OF_MEANS * mean) ** 2] = 0.0
         return cls(np.stack([mean, variance, peak]))
@@ -313,7 +313,10 @@ class NoiseFloor:
         return np.asarray(self.outliers >= max(LEAST_HEAVY, HEAVY_SHARE * self.examined))
 
     def with_outliers(self, rows: Floats) -> NoiseFloor:
-        """Return this noise floor with the further outliers in k windows, (axes, k * size)."""
+        """Return this noise floor with the outliers among samples added to its counts.
+
+        ``rows``, (axes, k * size), are the samples of k windows.
+        """
         if not rows.size:
             return self
         windows = rows.reshape(len(rows), -1, self.size)
@@ -414,7 +417,7 @@ class NoiseFloor:
         ]
 
     def has_wrong_unit(self, later: NoiseFloor) -> bool:
-        """Return whether this noise floor has a wrong unit, and a later one has the right unit.
+        """Return whether this noise floor has a wrong unit, and a later noise floor the right unit.
 
         This is so if only the later gravity has the magnitude of gravity in m/s^2, or if the noise
         of the gyro became smaller by the factor from another unit, such as deg/s, to rad/s.
@@ -434,7 +437,7 @@ class NoiseFloor:
         return not (self.newly_clipped(rows) | clipping_ended).any()
 
     def is_nearer(self, other: NoiseFloor, rows: Floats, windows: Windows) -> bool:
-        """Return whether samples, (axes, n), fit this noise floor better than another one.
+        """Return whether samples, (axes, n), fit this noise floor better than another noise floor.
 
         ``windows`` are the statistics of the samples. If different axes are clipped at the two
         floors, the clipped axes of the samples decide. Otherwise, the noise decides.

@@ -81,7 +81,8 @@ class NoiseLevel:
         self._replaced = RunningStretches(len(axes))
         self._axes, self._clipping = axes, Clipping(len(axes))
         self._segments: Longest[Segment] = Longest(LISTED_SEGMENTS)
-        self._start_ns, self._cut = 0, ''  # first stamp of the present segment, split before it
+        # first stamp of the present segment, and reason for the split before this segment
+        self._start_ns, self._cut = 0, ''
 
     @property
     def samples(self) -> int:
@@ -138,7 +139,7 @@ class NoiseLevel:
         counts = replace(
             self.counts, used=0, shocks=0, replaced=0, splits=self.counts.splits.copy()
         )
-        if excluded in ('moving', 'stuck'):  # what seemed less noise was the end of a motion
+        if excluded in ('moving', 'stuck'):  # the noise seemed to decrease, as the motion ended
             counts.moving, counts.noise_decreased = counts.moving + counts.noise_decreased, 0
         setattr(counts, excluded, getattr(counts, excluded) + self.counts.used)
         return counts
@@ -187,7 +188,7 @@ class NoiseLevels:
 
     @property
     def lost(self) -> int:
-        """How often the result was replaced, because the IMU had moved or its noise changed."""
+        """Number of times that the result was replaced after a motion or a change of the noise."""
         other, present = self.other, self.present
         has_earlier_other = (
             other is not None and not self.is_tried and other.first_ns < present.first_ns

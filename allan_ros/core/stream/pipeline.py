@@ -342,17 +342,17 @@ class FrameStream:
             sensor.flush()
 
     def _learn_from(self, batch: ImuBatch) -> ImuBatch:
-        """Buffer the first samples until enough are buffered; return the remaining samples."""
+        """Buffer the first samples until they suffice to learn from; return the other samples."""
         stamps = [each.stamps_ns for each in (*self._buffer, batch[:LEARN])]
         number_needed = learned_from(np.concatenate(stamps))
         number_taken = min((number_needed or LEARN) - self._buffered, len(batch))
-        self._buffer.append(batch[np.arange(number_taken)])  # indices copy the samples
+        self._buffer.append(batch[np.arange(number_taken)])  # an index array copies
         if self._buffered == number_needed:
             self._learn()
         return batch[number_taken:]
 
     def _learn(self) -> None:
-        """Choose the stamps and the sensor streams from the buffered samples, and process them."""
+        """Choose stamps and sensor streams from the buffered samples; process these samples."""
         first, self._buffer = joined(self._buffer), []
         notes = self.stamps.learn(first)
         samples = self.stamps.of(first)

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Computes the sums of axes that are sampled together: the stages from samples to sums."""
+"""The stages from the samples to the Allan sums of axes that are sampled together."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ difference may be due to bursts, and is judged when the new period is learned.""
 
 
 class SensorStream:
-    """Computes the sums of axes that are sampled together, from their samples at rest.
+    """Computes the Allan sums of axes that are sampled together, from their samples at rest.
 
     The axes are all axes of the IMU, or the axes of one sensor if the sensors have different rates
     or only one sensor is used. The stages are: `SampleFilter`, `SampleClock`, `RepeatFilter` (if
@@ -93,7 +93,7 @@ class SensorStream:
 
     @property
     def lost(self) -> int:
-        """How often the result was replaced, because the IMU had moved or its noise changed."""
+        """Number of times that the result was replaced after a motion or a change of the noise."""
         return self._lost + self._levels.lost
 
     @property

@@ -132,7 +132,7 @@ class SignalEnvelope:
         start_ns = np.stack([batch.stamps_ns[starts], record[starts]], axis=1)
         first_bin = int(bins[0])
         bin_slice = slice(first_bin, first_bin + len(starts))
-        is_begun = bool(first % self._step)  # the first bin has samples already
+        is_begun = bool(first % self._step)  # whether the first bin already contains samples
         if is_begun:
             start_ns[0] = self._start_ns[first_bin]
         self._start_ns[bin_slice] = start_ns
@@ -158,7 +158,7 @@ as K. IMUs are specified up to 175 degC, and 200 K is below the lower limit of e
 class TemperatureTrace:
     """Temperature readings of one sensor in a recording."""
 
-    source: str  # topic or column
+    source: str  # topic or column of the readings
     header_ns: NDArray[np.int64]  # (n,) times of measurement
     record_ns: NDArray[np.int64]  # (n,) times of recording; header_ns if the source has no others
     celsius: Floats  # (n,) temperatures in degC
@@ -213,7 +213,7 @@ class Decimated(Generic[Item]):
 
 
 GAP_BINS = 3.0
-"""A bin contains a gap if it lasts longer than this number of median durations of a bin."""
+"""A bin contains a gap if its duration exceeds the median duration by more than this factor."""
 
 
 class Excluded(NamedTuple):
@@ -248,7 +248,7 @@ class SignalSummary:
     # (bins, 6) standard deviation of the differences of successive samples / sqrt(2), in SI
     noise: Floats
     used: NDArray[np.bool_]  # (bins,) whether all samples of the bin are used
-    middle: Floats  # (6,) median of (low + high) / 2, in SI
+    middle: Floats  # (6,) median over the bins of (low + high) / 2, in SI
     excluded: tuple[Excluded, ...]
     gaps: tuple[tuple[float, float], ...]  # (start, end) in s of times without samples
     starts: tuple[float, ...]  # start of each recording in s
