@@ -19,13 +19,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..core.allan.at_rest import at_rest, turn_on_bias
+from ..core.allan.at_rest import at_rest, rounding_step, turn_on_bias
 from ..core.allan.curve import AllanCurve, allan_curve
 from ..core.allan.sums import AllanSums
 from ..core.findings import Finding
-from ..core.fit.axis_findings import rounding_step, with_deviations
+from ..core.fit.fit_findings import not_noise_findings, with_deviations
 from ..core.fit.model_curve import dominant_regions
-from ..core.fit.not_noise import not_noise_findings
 from ..core.fit.result import NoiseModel
 from ..core.fit.stationary import fit_stationary
 from ..core.fit.temperature import temperature_models

@@ -13,7 +13,7 @@ from ..core.check import MARGIN, AxisNoise, Check, Run, differences, worst_verdi
 from ..core.errors import AllanError
 from ..core.estimate import Estimate
 from ..core.findings import Finding
-from ..core.fit.record_length import longest_recommended, recommended_duration
+from ..core.fit.record_length import TOO_SHORT_S, longest_recommended, recommended_duration
 from ..core.fit.temperature import TemperatureModel
 from ..core.imu import ImuIdentity, sensor_of
 from ..readers.recorded import Provenance, RecordingSums
@@ -36,9 +36,6 @@ says nothing about the sensor."""
 
 UNSUITABLE = ('not_noise', 'not_settled')
 """Ids of findings about data that do not show the noise of the sensor at rest."""
-
-TOO_SHORT_S = 20.0
-"""Duration of the data at rest in s below which no verdict is given."""
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Mean, drift, slope over temperature and bandwidth of the samples of an axis at rest.
+"""Mean, drift, slope over temperature, bandwidth and rounding step of the samples at rest.
 
 `turn_on_bias` computes the repeatability of the mean from one recording to the next.
 """
@@ -36,6 +36,28 @@ SMOOTHED_BINS, LEAST_DOF = 5, 40.0
 """Number of neighboring bins of which the median power is taken, and fewest degrees of freedom of
 each of these bins. With these numbers, the median power of white noise is below `HALF_POWER` with a
 probability of 1e-6."""
+
+
+NEGLIGIBLE_STEP = 0.02
+"""Largest rounding step that is ignored, as a fraction of the standard deviation of the white noise
+of a sample. Such a step increases the variance of the samples by a fraction of only 3e-5."""
+
+WHOLE_TOLERANCE = 0.05
+"""A phase value is a multiple of a step if the ratio of the two differs from a whole number by less
+than this value."""
+
+LARGEST_SHARE = 1.05
+"""Largest ratio of the variance of the rounding error to the variance of the white noise. The white
+noise contains independent rounding errors. A larger ratio therefore shows that the rounding errors
+of successive samples are not independent."""
+
+LEAST_POINTS = 8
+"""Fewest different phase values among which a rounding step is searched for. A few values can be
+multiples of some step by chance."""
+
+ROUNDING_SHARE = 0.1
+"""Least ratio of the variance of the rounding error to the variance of the white noise for which
+rounding is reported."""
 
 
 @dataclass(frozen=True)
@@ -233,3 +255,57 @@ def _bandwidth(spectra: Spectra, i: int, white: float | None, tau0: float | None
     log_before, log_after = (math.log(max(r, 1e-30)) for r in relative_power[k : k + 2])
     fraction = (log_before - math.log(HALF_POWER)) / (log_before - log_after)
     return float(center_f[k] * (center_f[k + 1] / center_f[k]) ** fraction) / tau0
+
+
+def rounding_step(sums: AllanSums, axis: int, white: float) -> float | None:
+    """Return the step to which the samples of an axis are rounded, or None if it is negligible.
+
+    ``white`` is the variance of the white noise of a sample. If the rounding errors of successive
+    samples are independent, this variance contains the variance step^2/12 of these errors. A
+    counter that carries its remainder to the next sample has less white noise: its rounding error
+    is quantization noise (Q).
+    """
+    means = [m for r in sums.recordings for m in r.means]
+    if not means:
+        return None
+    longest = max(means, key=lambda m: m.samples)
+    totals = longest.step * longest.values[:, axis]
+    step = common_step(np.cumsum(totals), math.sqrt(max(white, 0.0)))
+    if step is None or not ROUNDING_SHARE < step * step / 12.0 / white < LARGEST_SHARE:
+        return None
+    return step
+
+
+def common_step(phase: Floats, deviation: float) -> float | None:
+    """Return the largest step of which all phase values are multiples, or None if there is none.
+
+    If the samples are rounded, this is the rounding step. ``phase``, (n,), contains cumulative sums
+    of samples. ``deviation`` is the standard deviation of the white noise of a sample: steps below
+    `NEGLIGIBLE_STEP` times ``deviation`` are ignored. All numbers have the unit of the samples.
+    """
+    least_step = NEGLIGIBLE_STEP * deviation
+    magnitudes = np.unique(np.abs(phase[np.abs(phase) > least_step]))
+    if len(magnitudes) < LEAST_POINTS or not deviation > 0.0:
+        return None
+    step, values = 0.0, magnitudes.tolist()
+    for i, value in enumerate(values):
+        former_step, step = step, _common_divisor(value, step, least_step)
+        if step < least_step:
+            return None
+        # Euclid's algorithm accumulates rounding errors. To remove them, the step is computed again
+        # as the ratio of each phase value so far, from the smallest on, to its multiple.
+        for magnitude in [value] if step == former_step else values[: i + 1]:
+            multiple = round(magnitude / step)
+            if multiple < 1:
+                return None  # the step exceeds a value that should be a multiple of it
+            step = magnitude / multiple
+    remainders = np.abs(magnitudes / step - np.round(magnitudes / step))
+    return step if remainders.max() < WHOLE_TOLERANCE else None
+
+
+def _common_divisor(a: float, b: float, least: float) -> float:
+    """Return the greatest common divisor of two floats; remainders below ``least`` count as 0."""
+    while b >= least:
+        remainder = a % b
+        a, b = b, min(remainder, b - remainder)
+    return a

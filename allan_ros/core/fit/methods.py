@@ -12,9 +12,9 @@ from ..allan.sums import AllanSums
 from ..errors import AllanError
 from ..findings import Finding, finding
 from ..noise.processes.sinusoid import daily_cycle
-from .axis_findings import axis_findings, merge_equal
 from .candidates import Candidates
 from .coefficients import axis_fit, without_estimates
+from .fit_findings import axis_findings, merge_equal
 from .frequency_range import estimate
 from .likelihood import AxisData
 from .result import METHODS, AxisFit, NoiseModel

@@ -15,6 +15,9 @@ from .result import AxisFit
 ADVISED_TERMS = ('N', 'B', 'K')
 """Terms for which a longer recording is recommended. Most state estimators do not use Q and R."""
 
+TOO_SHORT_S = 20.0
+"""Duration of the data at rest in s below which a recording is not judged."""
+
 HORIZON_S = 100.0
 """Averaging time in s at which the effect of a term is judged: a long time for a state estimator to
 integrate without a correction."""

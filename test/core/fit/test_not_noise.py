@@ -13,7 +13,7 @@ from scipy.signal import lfilter
 import allan_ros as ar
 from allan_ros.cli.main import main
 from allan_ros.core.estimate import Estimate
-from allan_ros.core.fit.not_noise import is_disturbed
+from allan_ros.core.fit.fit_findings import is_disturbed
 from allan_ros.core.fit.result import AxisFit, LackOfFit
 from allan_ros.core.noise import Model
 from allan_ros.core.noise.processes.resonance import Resonance

@@ -6,13 +6,7 @@ import pytest
 from support.sums import sums_of
 
 from allan_ros.core.findings import finding
-from allan_ros.core.fit.axis_findings import (
-    Line,
-    common_step,
-    line_finding,
-    merge_equal,
-    with_harmonics,
-)
+from allan_ros.core.fit.fit_findings import Line, line_finding, merge_equal, with_harmonics
 from allan_ros.core.fit.methods import fit_noise
 from allan_ros.view.finding_text import texts_of
 
@@ -51,35 +45,6 @@ def test_an_axis_without_numbers_states_the_reason(samples, id):
     (found,) = fit_noise(sums_of(samples, axes=('gyro_x',))).findings
     assert found.id == id
     assert found.axes == ('gyro_x',)
-
-
-def phase_of(samples, step):
-    return np.concatenate([[0.0], np.cumsum(samples - samples[0])])[::step]
-
-
-@pytest.mark.parametrize('lattice', [1e-6, 0.05, 3.0])
-@pytest.mark.parametrize('relative', [0.1, 1.0, 4.0])
-def test_step_of_rounded_samples_is_found(lattice, relative):
-    rng = np.random.default_rng(5)
-    noise = rng.normal(size=60000) * lattice / relative
-    samples = 9.8 + lattice * np.round(noise / lattice)
-    found = common_step(phase_of(samples, 512), lattice / relative)
-    assert found == pytest.approx(lattice, rel=1e-6)
-
-
-def test_smooth_and_constant_samples_have_no_step():
-    rng = np.random.default_rng(7)
-    assert common_step(phase_of(rng.normal(size=60000), 512), 1.0) is None
-    assert common_step(np.zeros(100), 1.0) is None
-
-
-def test_few_points_of_real_noise_have_no_step_and_cause_no_warning():
-    """Records of a few seconds; a warning of numpy is an error here."""
-    rng = np.random.default_rng(0)
-    with np.errstate(all='raise'):
-        for _ in range(2000):
-            phase = np.cumsum(rng.normal(size=rng.integers(5, 40)))
-            assert common_step(phase, float(rng.uniform(0.1, 60.0))) is None
 
 
 def test_a_sinusoid_and_its_harmonics_are_one_finding():

@@ -1,0 +1,250 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Findings about a fit: low-pass filter, vibration, drift, lack of fit, record length, motion.
+
+`not_noise_findings` detects recordings that show motion or vibration instead of the noise of the
+sensor. A recording is not a noise recording if at least half of its axes are disturbed.
+
+Conditions for a disturbed axis
+-------------------------------
+An axis is disturbed if one of these conditions holds. None of the conditions holds for a sensor at
+rest beside a fan, which adds only a few sinusoids.
+
+1. Several broad or slow oscillations, or more than `MOST_LINES` oscillations of any kind, together
+   have more variance than the white noise of a sample.
+2. The white noise is not resolved, or is known much less precisely than pure white noise in a
+   recording of this length would be. Other noise is then larger at all frequencies.
+3. The model does not fit in more than a third of the octaves of frequencies.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+from ..allan.at_rest import rounding_step
+from ..allan.curve import AllanCurve
+from ..allan.sums import AllanSums
+from ..estimate import Z_95
+from ..findings import Finding, finding
+from .model_curve import largest_deviation, model_line
+from .record_length import TOO_SHORT_S, recommended_duration
+from .result import AxisFit, NoiseModel
+
+SLOWEST_VIBRATION = 0.5
+"""Lowest frequency in Hz of a sinusoid that a finding reports as vibration. Buildings and tables
+have resonances above this frequency."""
+
+FASTEST_VIBRATION = 400.0
+"""Lowest sample rate in Hz at which vibration of rotors and engines has no aliases."""
+
+ALIAS_FROM = 0.02
+"""Lowest frequency, as a fraction of the sample rate, for which an alias is mentioned. A slower
+sinusoid can only be an alias of a vibration at nearly the sample rate."""
+
+HARMONIC, HIGHEST_HARMONIC = 0.01, 6.5
+"""Largest relative distance of a harmonic from a multiple of the fundamental frequency, and upper
+limit of this multiple. The limit is needed because every frequency is near some high multiple."""
+
+MOST_LINES = 3
+"""Largest number of oscillations in the model of an axis that a machine such as a fan causes beside
+the sensor."""
+
+SLOW_HZ = 3.0
+"""Frequency in Hz below which an oscillation counts as motion. Machines and buildings vibrate
+faster."""
+
+LARGEST_WIDTH, LARGEST_EXCESS = 0.1, 5.0
+"""The white noise is obscured if half of the width of the interval of N, relative to N, exceeds
+both `LARGEST_WIDTH` and `LARGEST_EXCESS` times the half width for pure white noise. The ratio of
+the half widths is 1 to 3 in clean recordings, 8 with heavy tails, and 6 to 20 in vehicles, with
+half widths up to 0.4. Gauss-Markov noise with a correlation time of 2 samples causes ratios up to
+30, but half widths below 0.1 on nearly all axes."""
+
+LACK_OF_FIT_SHARE = 1.0 / 3.0
+"""Largest share of octaves with a lack of fit for which the model describes an axis."""
+
+DISTURBED_SHARE = 0.5
+"""Least share of disturbed axes for which a recording is not a noise recording."""
+
+
+def axis_findings(sums: AllanSums, axis: int, fit: AxisFit, tau0: float) -> list[Finding]:
+    """Return the findings about the fit of one axis; ``tau0`` is the sample period in s."""
+    name = (sums.axes[axis],)
+    found = []
+    if fit.filtered:
+        found.append(finding('low_pass', name, frequency=4.0 / (fit.m_min * tau0)))
+    shaped = fit.model.shaped.parts
+    sinusoids = [Line(p.process.shape[0], p.value) for p in shaped if p.process.is_line]
+    found += [line_finding(name, group, tau0) for group in with_harmonics(sinusoids)]
+    for process, value, *_ in shaped:
+        if not process.is_line:
+            found.append(finding(process.finding, name, **process.facts(value)))
+    white = fit.noise['N'].value
+    step = rounding_step(sums, axis, white**2 / tau0) if white else None
+    if step is not None and white:
+        share = step * step / 12.0 / (white**2 / tau0)
+        found.append(finding('rounding', name, step=step, share=min(share, 1.0)))
+    longest = max((m.samples for r in sums.recordings for m in r.means), default=0)
+    advice = recommended_duration(fit, longest * tau0)
+    if advice is not None:
+        seconds, terms = advice
+        found.append(finding('record_longer', name, terms=' and '.join(terms), how_long=seconds))
+    return found
+
+
+def with_deviations(model: NoiseModel, curve: AllanCurve) -> NoiseModel:
+    """Return a copy of the model with `AxisFit.deviation` computed from the measured curve.
+
+    A finding is added for each axis with a lack of fit. The finding states the octave with the
+    largest difference between data and model, and this difference.
+    """
+    axes, found = {}, []
+    for i, name in enumerate(curve.axes):
+        fit = model.axes[name]
+        line = model_line(fit, model.tau0, curve.m)
+        axes[name] = replace(fit, deviation=largest_deviation(line, curve.axis(i)))
+        if fit.lack_of_fit:
+            worst = max(fit.lack_of_fit, key=lambda each: abs(math.log(each.ratio)))
+            edges = {'low': worst.low, 'high': worst.high}
+            relative_deviation = math.sqrt(worst.ratio) - 1.0
+            found.append(finding('lack_of_fit', (name,), deviation=relative_deviation, **edges))
+    return replace(model, axes=axes, findings=(*model.findings, *merge_equal(found)))
+
+
+class Line(NamedTuple):
+    """Sinusoid in the model of an axis."""
+
+    frequency: float  # in Hz
+    amplitude: float  # in SI
+
+
+def with_harmonics(lines: Sequence[Line]) -> list[list[Line]]:
+    """Return the sinusoids in groups: each group has a fundamental and then its harmonics.
+
+    ``lines`` must be sorted by frequency.
+    """
+    groups: list[list[Line]] = []
+    for line in lines:
+        for group in groups:
+            ratio = line.frequency / group[0].frequency
+            is_multiple = abs(ratio - round(ratio)) < HARMONIC * ratio
+            if is_multiple and 1.5 < ratio < HIGHEST_HARMONIC:
+                group.append(line)
+                break
+        else:
+            groups.append([line])
+    return groups
+
+
+def line_finding(name: tuple[str], lines: Sequence[Line], tau0: float) -> Finding:
+    """Return the finding about a sinusoid and its harmonics: a vibration or a slow disturbance.
+
+    ``name`` contains the name of the axis. The first of the ``lines`` is the fundamental. ``tau0``
+    is the sample period in s.
+    """
+    fundamental = lines[0]
+    amplitude = math.sqrt(sum(each.amplitude**2 for each in lines))
+    if fundamental.frequency < SLOWEST_VIBRATION:
+        period = 1.0 / fundamental.frequency
+        return finding('slow_disturbance', name, period=period, amplitude=amplitude)
+    rate = 1.0 / tau0
+    alias = rate - fundamental.frequency
+    is_distinct = f'{alias:.3g}' != f'{fundamental.frequency:.3g}'
+    has_alias = (
+        rate < FASTEST_VIBRATION and fundamental.frequency > ALIAS_FROM * rate and is_distinct
+    )
+    return finding(
+        'vibration',
+        name,
+        frequency=fundamental.frequency,
+        alias=alias if has_alias else None,
+        harmonics=', '.join(f'{each.frequency:.3g}' for each in lines[1:]) or None,
+        amplitude=amplitude,
+    )
+
+
+def merge_equal(findings: Sequence[Finding]) -> tuple[Finding, ...]:
+    """Return the findings, with equal findings about several axes merged into one."""
+    out: dict[tuple[str, tuple[tuple[str, object], ...]], Finding] = {}
+    for f in findings:
+        key = (f.id, tuple(f.values.items()))
+        out[key] = replace(f, axes=(*out[key].axes, *f.axes)) if key in out else f
+    return tuple(out.values())
+
+
+def not_noise_findings(models: Sequence[NoiseModel], seconds: float) -> list[Finding]:
+    """Return one finding if the recording is not a noise recording, else an empty list.
+
+    Parameters
+    ----------
+    models : sequence of NoiseModel
+        Fits of one IMU: one fit for all axes, or one for each sensor if the sample rates differ.
+    seconds : float
+        Time at rest in s.
+    """
+    if seconds < TOO_SHORT_S:
+        return []
+    fits = {name: (fit, m.tau0) for m in models for name, fit in m.axes.items()}
+    disturbed_axes = [
+        name for name, (fit, tau0) in fits.items() if is_disturbed(fit, tau0, seconds)
+    ]
+    if not disturbed_axes or len(disturbed_axes) < DISTURBED_SHARE * len(fits):
+        return []
+    return [finding('not_noise', tuple(disturbed_axes))]
+
+
+def is_disturbed(fit: AxisFit, tau0: float, seconds: float) -> bool:
+    """Return whether motion or vibration hides the noise of an axis.
+
+    Parameters
+    ----------
+    fit : AxisFit
+        Fit of the axis.
+    tau0 : float
+        Sample period in s.
+    seconds : float
+        Time at rest in s.
+    """
+    n = fit.noise['N']
+    white = ((n.value if n.resolved else n.upper95) or 0.0) ** 2 / tau0
+    if not white:
+        return False
+    shares = [
+        (p.process, p.value**2 / (2.0 if p.process.is_line else 1.0) / white)
+        for p in fit.model.shaped.parts
+        if not p.process.is_drift
+    ]
+    motion_shares = [s for p, s in shares if not p.is_line or p.numbers['frequency'] < SLOW_HZ]
+    if len(motion_shares) > 1 and sum(motion_shares) > 1.0:
+        return True
+    if len(shares) > MOST_LINES and sum(s for _, s in shares) > 1.0:
+        return True
+    return _is_obscured(fit, tau0, seconds) or _has_lack_of_fit(fit, tau0, seconds)
+
+
+def _is_obscured(fit: AxisFit, tau0: float, seconds: float) -> bool:
+    """Return whether N is known much less precisely than it would be if all noise was white.
+
+    Pure white noise with the bandwidth W determines N in the time T with a relative standard error
+    of 1 / sqrt(4 W T). If quantization noise (Q) is resolved, N need not be resolved.
+    """
+    n = fit.noise['N']
+    if not n.resolved:
+        return not fit.noise['Q'].resolved
+    if not n.value or n.recording_ci95 is None:
+        return False
+    bandwidth = min(0.5 / tau0, 4.0 / (fit.m_min * tau0)) if fit.filtered else 0.5 / tau0
+    low, high = n.recording_ci95
+    width = (high - low) / (2.0 * n.value)
+    return width > max(LARGEST_WIDTH, LARGEST_EXCESS * Z_95 / math.sqrt(4.0 * bandwidth * seconds))
+
+
+def _has_lack_of_fit(fit: AxisFit, tau0: float, seconds: float) -> bool:
+    octaves = math.log2(max(seconds / (2.0 * tau0), 2.0))
+    octaves_with_lack = sum(
+        math.log2(each.high / each.low) for each in fit.lack_of_fit if each.low > 0.0
+    )
+    return octaves_with_lack > LACK_OF_FIT_SHARE * octaves
