@@ -205,7 +205,7 @@ class AxisSegment:
         return math.sqrt(variance * self.data.scale)
 
     def walk(self, fit: Fit) -> float:
-        """Return the variance that the random walk of a fit gains per sample, in SI squared."""
+        """Return the variance that the random walk of a fit gains per sample, in SI."""
         return float(fit.p[K]) * self.data.scale
 
 

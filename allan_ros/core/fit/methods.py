@@ -53,7 +53,7 @@ def fit_noise(sums: AllanSums, method: str = 'likelihood') -> NoiseModel:
         raise AllanError(f'fit method {method!r} is unknown: choose one of {", ".join(METHODS)}')
     if method == 'likelihood':
         return fit_likelihood(sums)
-    from .least_squares import fit_paper  # rarely used
+    from .least_squares import fit_paper  # imported here, because it is rarely used
 
     return fit_paper(sums)
 
@@ -83,14 +83,16 @@ def fit_likelihood(sums: AllanSums, of_axes: Sequence[Statistics] = ()) -> Noise
             )
             findings.append(finding(id, (name,), **numbers))
             continue
-        if not np.all(np.isfinite(known.power[:, a])):  # wrong unit, which the stream reports
+        if not np.all(
+            np.isfinite(known.power[:, a])
+        ):  # due to a wrong unit, which the stream reports
             axes[name] = without_estimates()
             continue
         brief = sums.samples * tau0 < LEAST_DRIFT_S
         try:
             result = estimate(AxisData.of(known, a), candidates, daily)
             axes[name] = axis_fit(result, tau0, brief)
-        except np.linalg.LinAlgError:  # a periodic signal; all other digits are rounding errors
+        except np.linalg.LinAlgError:  # the signal is periodic except for rounding errors
             axes[name] = without_estimates()
             findings.append(finding('no_noise', (name,)))
             continue

@@ -458,7 +458,10 @@ def _coarser(y: Floats, factor: int) -> Floats:
 
 
 def _lengths(points: int) -> list[int]:
-    """Divide ``points`` into as few pieces as possible; return their lengths of 4, 6, 8, 12 ..."""
+    """Return the lengths of pieces into which ``points`` block means are divided.
+
+    The lengths are 4, 6, 8, 12, 16 ..., the longest first. Fewer than 4 remaining means are omitted.
+    """
     lengths, sizes = [], sorted((s << k for k in range(9) for s in (4, 6)), reverse=True)
     for size in sizes:
         while points >= size:

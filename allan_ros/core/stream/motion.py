@@ -70,8 +70,8 @@ the low-pass filter at the start. The increased noise is then normal at once, un
 noise floor by more than `SHAKEN_RATIO` on at least `MOVING_AXES` axes."""
 
 FAULTY_S = 600.0
-"""Time in s for which decreased noise is regarded as a fault, even if it lasts longer than the
-noise before."""
+"""Time in s for which decreased noise is regarded as a fault, even if the decreased noise has
+lasted longer than the noise before."""
 
 LEAST_FAULTY = 4
 """Known faults are searched for in this number of latest windows, if none of these is at rest."""
@@ -369,7 +369,7 @@ class MotionGate:
             self._levels.present.floor = updated.with_outliers(usable)
 
     def _change_level(self) -> bool:
-        """Change the noise level if another level fits the latest windows; return whether so."""
+        """Change the level if another one fits the latest windows; return whether it changed."""
         floor, other = self._rest.floor, self._levels.other
         recent = self._recent.last(CHECKED_WINDOWS)
         rows, windows = recent.rows, recent.windows
@@ -406,7 +406,7 @@ class MotionGate:
             self._replace('moving', learned)
 
     def _decreases_to(self, learned: NoiseFloor, recent: RecentWindows) -> bool:
-        """Begin another level if the noise decreased without a known fault; return whether so.
+        """Begin another level if the noise decreased for no known reason; return whether it began.
 
         ``learned`` is the noise floor of the latest windows. If the noise before was due to a
         motion, the present level is discarded.
@@ -427,7 +427,7 @@ class MotionGate:
         return bool(decreased_axes.any())
 
     def _has_increased(self) -> bool:
-        """Begin another level if the noise increased in the latest block; return whether so."""
+        """Begin another level if the noise increased in the last block; return whether it began."""
         block, floor = self._recent, self._rest.floor
         if len(block) < BLOCK_WINDOWS or not block.can_be_larger_noise:
             return False

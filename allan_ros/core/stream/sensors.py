@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Decides which axes form a stream; finds samples that are not measured, clipped or interleaved.
+"""Decides which axes form a stream; finds repeated, zero, clipped and interleaved samples.
 
 Repeated samples
 ----------------
