@@ -39,8 +39,8 @@ from .estimate import UNKNOWN, Z_95, Estimate
 from .fit.result import TERMS
 
 MARGIN = 0.2
-"""Fraction by which a coefficient may exceed a limit. The typical figures of a datasheet describe
-the median IMU, and noise increases by some percent with temperature."""
+"""Default of the fraction by which a coefficient may exceed a limit. The typical figures of a
+datasheet describe the median IMU, and noise increases by some percent with temperature."""
 
 FAMILY_ERROR = 0.05
 """Probability of at least one significant difference between recordings of equal noise, among all
@@ -56,8 +56,8 @@ deviations have 3 degrees of freedom, their ratio is significant only above abou
 is compared, and only above about 17 when six axes are compared."""
 
 EDF_TABLE = np.geomspace(0.5, 1e10, 1000)
-"""Degrees of freedom for which the ratio of the upper to the lower chi-squared limit is tabulated,
-(1000,)."""
+"""Degrees of freedom, (1000,), at which the ratio of the upper to the lower confidence limit of an
+Allan deviation is tabulated."""
 
 SMALLEST_SCALE = 1e-12
 """Smallest standard error of the logarithm of an estimate that is used. Smaller standard errors are
@@ -106,7 +106,7 @@ class Check:
         value or the upper limit from the other recording.
     ratio : Estimate
         Ratio of the measured number to ``upper``. If only one of two recordings resolves the
-        number, the ratio has no value, and one end of its interval is 0 or infinity.
+        number, the ratio has no value, and its interval (if any) begins at 0 or ends at infinity.
     verdict : Judgement
         See `Judgement`. In a comparison of recordings, the verdicts 'higher' and 'lower' are
         corrected for the number of comparisons.
@@ -157,8 +157,8 @@ class Check:
     def beyond(self, margin: float) -> bool:
         """Return whether two recordings differ significantly by more than the fraction ``margin``.
 
-        The complete 95 % interval of the ratio must lie above 1 + margin, or below 1 / (1 +
-        margin).
+        The complete 95 % interval of the ratio must lie above 1 + ``margin``, or below
+        1 / (1 + ``margin``).
         """
         low, high = self.ratio.ci95 or (1.0, 1.0)
         return self.significant and (low > 1.0 + margin or high < 1.0 / (1.0 + margin))
@@ -297,9 +297,9 @@ def differences(pairs: Iterable[tuple[str, Run, Run]]) -> list[tuple[Check, ...]
     ----------
     pairs : iterable of (name of the first recording, first recording, second recording)
     """
-    undecided = [list(_run_differences(*pair)) for pair in pairs]
-    with_verdicts = iter(_with_verdicts(list(chain(*undecided)), FAMILY_ERROR))
-    return [tuple(islice(with_verdicts, len(checks))) for checks in undecided]
+    without_verdicts = [list(_run_differences(*pair)) for pair in pairs]
+    with_verdicts = iter(_with_verdicts(list(chain(*without_verdicts)), FAMILY_ERROR))
+    return [tuple(islice(with_verdicts, len(checks))) for checks in without_verdicts]
 
 
 def _run_differences(reference: str, first: Run, second: Run) -> Iterator[Check]:
@@ -307,8 +307,8 @@ def _run_differences(reference: str, first: Run, second: Run) -> Iterator[Check]
         a, b = first[axis], second[axis]
         if a.noise is not None and b.noise is not None:
             for term in TERMS:
-                one, other = a.noise[term].magnitude, b.noise[term].magnitude
-                yield _term_difference(axis, term, reference, one, other)
+                first_estimate, second_estimate = a.noise[term].magnitude, b.noise[term].magnitude
+                yield _term_difference(axis, term, reference, first_estimate, second_estimate)
         if a.curve is not None and b.curve is not None:
             yield from _curve_differences(axis, reference, a.curve, b.curve)
 
@@ -334,7 +334,8 @@ def _curve_differences(
         )
         variance_ratio = (adev_b / adev_a) ** 2
         low, high = (
-            math.sqrt(variance_ratio / special.fdtri(edf_b, edf_a, q)) for q in (0.975, 0.025)
+            math.sqrt(variance_ratio / special.fdtri(edf_b, edf_a, quantile))
+            for quantile in (0.975, 0.025)
         )
         p_below, p_above = (
             special.fdtr(edf_b, edf_a, variance_ratio),
@@ -358,7 +359,7 @@ def _log_points(curve: AxisCurve) -> Floats:
 
 
 def _with_verdicts(checks: Sequence[Check], family_error: float) -> list[Check]:
-    """Return the checks with their verdicts, which Holm's procedure determines."""
+    """Return the checks with verdicts; Holm's procedure selects the significant checks."""
     p_values = sorted((check.p, i) for i, check in enumerate(checks) if check.p is not None)
     significant_indices: set[int] = set()
     for rank, (p, i) in enumerate(p_values):
@@ -375,7 +376,7 @@ def _judged(check: Check, is_significant: bool) -> Judgement:
     if check.p is None or check.ratio.ci95 is None:
         return 'undecided'
     if not is_significant:
-        # If only one recording resolves the coefficient, the test is inconclusive.
+        # If only one recording resolves the coefficient, equality cannot be concluded.
         return 'undecided' if check.ratio.value is None else 'alike'
     return 'higher' if check.ratio.ci95[0] > 1.0 else 'lower'
 
@@ -404,7 +405,7 @@ def _known(c: Estimate) -> Known | None:
     """Return the value of a coefficient and the ends of its interval.
 
     A value outside of the interval is replaced by the nearest end. Returns None if the coefficient
-    is not resolved, or if the interval reaches 0.
+    is not resolved, or has no finite interval above 0.
     """
     if c.status != 'estimated' or not c.value or c.ci95 is None:
         return None
@@ -415,7 +416,7 @@ def _known(c: Estimate) -> Known | None:
 
 
 def _limit(c: Estimate) -> float | None:
-    """Return the 95 % upper limit of a coefficient that is not resolved, else None."""
+    """Return the 95 % upper limit of a coefficient with the status 'not_observable', else None."""
     has_limit = (
         c.status == 'not_observable' and c.upper95 is not None and 0.0 < c.upper95 < math.inf
     )
@@ -431,11 +432,11 @@ def _ratio_of_estimates(a: Known, b: Known) -> tuple[float, tuple[float, float],
     from scipy import special
 
     log_ratio = math.log(b[0]) - math.log(a[0])
-    down = math.hypot(_width(b[0], b[1], b), _width(a[2], a[0], a))
-    up = math.hypot(_width(b[2], b[0], b), _width(a[0], a[1], a))
-    half_width = down if log_ratio > 0.0 else up
+    distance_below = math.hypot(_width(b[0], b[1], b), _width(a[2], a[0], a))
+    distance_above = math.hypot(_width(b[2], b[0], b), _width(a[0], a[1], a))
+    half_width = distance_below if log_ratio > 0.0 else distance_above
     z = abs(log_ratio) * Z_95 / half_width if half_width > 0.0 else math.inf * bool(log_ratio)
-    interval = _exp(log_ratio - down), _exp(log_ratio + up)
+    interval = _exp(log_ratio - distance_below), _exp(log_ratio + distance_above)
     return _exp(log_ratio), interval, min(2.0 * float(special.ndtr(-z)), 1.0)
 
 
@@ -444,8 +445,11 @@ def _exp(x: float) -> float:
 
 
 def _width(upper: float, lower: float, x: Known) -> float:
-    """Return ln(upper / lower), but at least half the width of the interval of ln x."""
-    # A value at an end of its interval would have a distance of 0 to this end.
+    """Return the distance ln(upper / lower) between an estimate and an end of its interval.
+
+    The distance is at least half the width of the interval of ln x, where ``x`` is the estimate.
+    """
+    # The minimum applies to a value at an end of its interval, where the distance would be 0.
     return max(math.log(upper) - math.log(lower), (math.log(x[2]) - math.log(x[1])) / 2.0)
 
 
@@ -460,29 +464,30 @@ def _p_value_of_limit(a: Known, limit: float, power: float) -> float:
     # At the normal quantile z, the lower limit of the estimate is value exp(-s z), where s is the
     # standard error of its logarithm. The upper limit is limit (z / 1.96)^(1 / power), because the
     # number that is not resolved is assumed to be 0, which is the worst case. At the z where both
-    # limits are equal, each limit is wrong with probability Phi(-z). The result is 4 Phi(-z),
-    # because either recording could be the one that resolves the number.
+    # limits are equal, each limit is wrong with probability Phi(-z). The p value is 4 Phi(-z):
+    # two limits can be wrong, and either recording could be the one that resolves the number.
     from scipy import special
 
     value, low, _ = a
     scale = power * max(_width(value, low, a) / Z_95, SMALLEST_SCALE)
     # With p = power, this z solves p s z exp(p s z) = p s 1.96 (value / limit)^p. The Lambert W
     # function gives the solution, here in logarithms.
-    right = math.log(scale * Z_95) + power * (math.log(value) - math.log(limit))
-    z = float(special.wrightomega(right)) / scale
+    log_right_side = math.log(scale * Z_95) + power * (math.log(value) - math.log(limit))
+    z = float(special.wrightomega(log_right_side)) / scale
     # The upper limit is known only for a confidence level of 95 % or more.
     return min(4.0 * float(special.ndtr(-z)), 1.0) if z >= Z_95 else 1.0
 
 
 def _degrees_of_freedom(low: Floats, high: Floats) -> Floats:
-    """Return the degrees of freedom of deviations with the limits ``low`` and ``high``, (n,).
+    """Return the degrees of freedom, (n,), of Allan deviations with given confidence limits.
 
-    The result follows from the ratio high / low. It is NaN if a limit is invalid.
+    The result follows from the ratio of the limits, ``high`` / ``low``. It is NaN if a limit is
+    invalid.
     """
     from scipy import special
 
     tail = (1.0 - CI_LEVEL) / 2.0
-    # the limits of a deviation are proportional to the root of 1 / chi^2
+    # the limits of a deviation are proportional to 1 / sqrt(chi^2)
     log_ratios = (
         np.log(special.chdtri(EDF_TABLE, tail) / special.chdtri(EDF_TABLE, 1.0 - tail)) / 2.0
     )

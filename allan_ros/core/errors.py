@@ -5,7 +5,7 @@
 from typing import Any
 
 SHOWN_START, SHOWN_END = 1500, 500
-"""Number of characters that are kept at the start and at the end of a text that is too long."""
+"""Numbers of characters that are kept at the start and at the end of a text that is too long."""
 
 
 def one_line(text: str) -> str:

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""`Estimate`, a measured number with its 95 % interval or its limits, and its text for users."""
+"""`Estimate`: a measured number with a 95 % interval or limits, and its conversion to text."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ class Estimate:
 
     @classmethod
     def normal(cls, value: float, std: float) -> Estimate:
-        """Return an estimate with a normally distributed error of standard deviation ``std``."""
+        """Return an estimate with a normal error distribution of standard deviation ``std``."""
         return cls(value, (value - Z_95 * std, value + Z_95 * std))
 
     @property
@@ -194,14 +194,15 @@ class Estimate:
     def from_document(cls, fields: Fields, signed: bool = False) -> Estimate:
         """Return the estimate that `document` wrote as a JSON object.
 
-        Name, unit and axis are not stored. With ``signed``, the value and the lower limit may be
-        negative. Raises AllanError if a number is missing or invalid.
+        Name, unit and axis are not stored; missing numbers are None. With ``signed``, the value and
+        the lower limit may be negative. Raises AllanError if a number is invalid, or the status is
+        missing.
         """
         least = -MAX_FLOAT if signed else 0.0
 
         def number(key: str, least: float = 0.0) -> float | None:
-            is_stated = key in fields and fields.value(key) is not None
-            return fields.number(key, least) if is_stated else None
+            has_number = key in fields and fields.value(key) is not None
+            return fields.number(key, least) if has_number else None
 
         has_predictive = 'recording_ci95' in fields
         return cls(

@@ -66,7 +66,7 @@ def plain(value: Any, names: Mapping[str, str] = {}) -> Any:
 
 @contextmanager
 def located(where: str) -> Iterator[None]:
-    """Prepend ``where``, such as a file and key, to the message of an `AllanError` in the block."""
+    """Prepend ``where``, such as a file and key, to each `AllanError` from the ``with`` block."""
     try:
         yield
     except AllanError as error:
@@ -123,28 +123,31 @@ class Fields:
                 raise AllanError(f'{self.where}: {key!r:.40} is unknown, use {", ".join(known)}')
 
     def text(self, key: str, default: object = _REQUIRED, longest: int = MAX_TEXT) -> str:
-        """Return a text of at most ``longest`` characters; ``default`` if the key is missing."""
+        """Return the text under a key, of at most ``longest`` characters.
+
+        If the key is missing, the result is ``default``.
+        """
         value = str(self._get(key, str, 'a text', default))
         if len(value) > longest:
             raise self._wrong(key, value, f'a text of at most {longest} characters')
         return value
 
     def choice(self, key: str, choices: tuple[str, ...]) -> str:
-        """Return a text that is one of the choices."""
+        """Return the text under a key, which must be one of the choices."""
         value = self.text(key)
         if value not in choices:
             raise self._wrong(key, value, f'one of {", ".join(choices)}')
         return value
 
     def integer(self, key: str, least: int = -MAX_INTEGER) -> int:
-        """Return a whole number of at least ``least``."""
+        """Return the whole number under a key, which must be at least ``least``."""
         value = int(self._get(key, int, 'a whole number'))
         if not least <= value < MAX_INTEGER:
             raise self._wrong(key, value, f'a whole number from {least} to {MAX_INTEGER}')
         return value
 
     def number(self, key: str, least: float = -MAX_FLOAT) -> float:
-        """Return a finite number of at least ``least``."""
+        """Return the finite number under a key, which must be at least ``least``."""
         value = self._number(key, self._get(key, (int, float), 'a number'))
         if value < least:
             raise self._wrong(key, value, f'a number of at least {least:g}')
@@ -160,13 +163,13 @@ class Fields:
             return to_si(value, stated, unit)
 
     def numbers(self, key: str) -> NDArray[np.float64]:
-        """Return a list of numbers as an array, (n,), in which NaN replaces null."""
+        """Return the list of numbers under a key as an array, (n,), in which NaN replaces null."""
         return np.array(
             [math.nan if v is None else self._number(key, v) for v in self.sequence(key)], float
         )
 
     def integers(self, key: str, n: int) -> NDArray[np.int64]:
-        """Return a list of ``n`` whole numbers of 0 or above as an array, (n,)."""
+        """Return the list of ``n`` whole numbers, 0 or above, under a key as an array, (n,)."""
         values = self.sequence(key, n)
         if len(values) != n or not all(type(v) is int and 0 <= v < MAX_INTEGER for v in values):
             raise self._wrong(key, values, f'a list of {n} whole numbers, 0 or above,')
@@ -175,31 +178,31 @@ class Fields:
     def table(
         self, key: str, rows: int, columns: int, least: float = -MAX_FLOAT
     ) -> NDArray[np.float64]:
-        """Return a list of lists as an array of finite numbers, (rows, columns).
+        """Return the list of lists under a key as an array of finite numbers, (rows, columns).
 
         ``least`` is the smallest valid number.
         """
-        value = self.sequence(key, rows)
-        is_regular = len(value) == rows and all(
+        list_of_rows = self.sequence(key, rows)
+        is_regular = len(list_of_rows) == rows and all(
             isinstance(row, list)
             and len(row) == columns
             and all(type(x) in (int, float) and least <= x <= MAX_FLOAT for x in row)
-            for row in value
+            for row in list_of_rows
         )
         if not is_regular:
             range_text = ' of 0 or above' if least == 0.0 else ''
             expected = f'a table of {rows} x {columns} finite numbers{range_text}'
-            raise self._wrong(key, value, expected)
-        return np.array(value, float).reshape(rows, columns)
+            raise self._wrong(key, list_of_rows, expected)
+        return np.array(list_of_rows, float).reshape(rows, columns)
 
     def sequence(self, key: str, most: int = MAX_ITEMS) -> Sequence[Any]:
-        """Return a list of at most ``most`` items; the caller checks the items."""
-        found: Sequence[Any] = self._get(key, list, 'a list')
-        if len(found) > most:
+        """Return the list under a key, of at most ``most`` items; the caller checks the items."""
+        items: Sequence[Any] = self._get(key, list, 'a list')
+        if len(items) > most:
             raise AllanError(
-                f'{self.where}.{key} has {len(found)} items: at most {most} are expected'
+                f'{self.where}.{key} has {len(items)} items: at most {most} are expected'
             )
-        return found
+        return items
 
     def value(self, key: str) -> object:
         """Return the value of a key, of any type; the caller checks the value."""
@@ -214,7 +217,7 @@ class Fields:
         return None if self._document.get(key) is None else self.fields(key)
 
     def each(self, key: str, most: int = MAX_ITEMS) -> Iterator[Fields]:
-        """Yield the items of a list of at most ``most`` JSON objects."""
+        """Yield the JSON objects in the list under a key, which has at most ``most`` items."""
         for i, item in enumerate(self.sequence(key, most)):
             yield Fields(item, f'{self.where}.{key}[{i}]', self._names)
 
@@ -222,8 +225,8 @@ class Fields:
         """Return a dataclass or named tuple of type ``kind`` with the values of this object.
 
         If ``kind`` has a method ``from_document``, the result of this method is returned. Otherwise
-        the value of each field is read from the key of this name as the annotated type. The fields
-        in ``known`` are not read; their values are given. Keys of fields with a default may be
+        the value of each field is read from the key with the name of the field, as the annotated
+        type. Fields in ``known`` get the values given there. Keys of fields with a default may be
         missing.
         """
         if (from_document := getattr(kind, 'from_document', None)) is not None:
@@ -254,7 +257,8 @@ class Fields:
         if origin is Mapping:
             numbers = self.fields(key)
             return {name: numbers.number(name, -MAX_FLOAT) for name in numbers._document}
-        if origin in (np.ndarray, NDArray):  # from numpy 2.5 on, the origin is NDArray
+        # the origin of the annotation NDArray[...] is NDArray from numpy 2.5 on, np.ndarray before
+        if origin in (np.ndarray, NDArray):
             is_whole = np.int64 in (args[-1], *get_args(args[-1]))
             return self.integers(key, len(self.sequence(key))) if is_whole else self.numbers(key)
         if args[1:] == (Ellipsis,) and args[0] is str:
@@ -307,7 +311,7 @@ class Fields:
             raise self._wrong(key, value, 'a number')
         try:
             number = float(value)
-        except OverflowError:  # JSON integers have no bound
+        except OverflowError:  # an integer in JSON may be too large for a float
             number = math.inf
         if not -MAX_FLOAT <= number <= MAX_FLOAT:
             raise self._wrong(key, value, f'a number from {-MAX_FLOAT:g} to {MAX_FLOAT:g}')

@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Findings: reports to the user about a recording or a running node, as data objects.
 
-A finding has an id from the catalog ``findings.txt``, and numbers. The text is made by
-`view.finding_text`.
+A finding has an id from the catalog ``findings.txt``, and values such as coefficients or times.
+`view.finding_text` makes its text.
 """
 
 from __future__ import annotations
@@ -76,7 +76,7 @@ class Finding:
     axes : tuple of str
         The affected axes; empty if all axes are affected.
     values : mapping of str to int, float, str or Estimate
-        The numbers in the text: quantities in SI, times in s, frequencies in Hz, shares from 0 to
+        The values in the text: quantities in SI, times in s, frequencies in Hz, shares from 0 to
         1. In a merged finding, a value is a tuple if the axes have different values.
     stated : (message, remedy) or None
         Text of a finding that was read from a document of another version, if the present catalog
@@ -121,8 +121,8 @@ class CatalogEntry(NamedTuple):
 def _catalog(text: str) -> Iterator[tuple[str, CatalogEntry]]:
     """Yield the id and the entry of each finding in the text of the catalog."""
     for entry in re.findall(r'(?m)^\w+:.*(?:\n .*)*', re.sub(r'(?m)^\[.*\n(?: .*\n)*', '', text)):
-        head, *names = entry.replace(': ', ':', 1).split()
-        id, _, severity = head.partition(':')
+        id_and_severity, *names = entry.replace(': ', ':', 1).split()
+        id, _, severity = id_and_severity.partition(':')
         pairs = (name.rstrip('?').partition(':')[::2] for name in names)
         optional = (name.rstrip('?').partition(':')[0] for name in names if name.endswith('?'))
         yield id, CatalogEntry(severity, dict(pairs), frozenset(optional))
@@ -133,11 +133,11 @@ _TEXT = (get_data(__package__, 'findings.txt') or b'').decode()
 CATALOG = dict(_catalog(_TEXT))
 """Id of a finding -> its entry."""
 
-_FAULTS, _COUNTS, LIVE, UNUSABLE = (
+_FAULTS, _NUMBERS, LIVE, UNUSABLE = (
     re.findall(rf'(?m)^\[{name}\]\n((?: .*\n)*)', _TEXT)[0].split()
     for name in ('faults', 'numbers', 'live', 'unusable')
 )
-"""Ids in four lists of ``findings.txt``. Comments in this file describe the lists."""
+"""Ids of findings in four lists. Comments in ``findings.txt`` describe the lists."""
 
 MINOR: dict[str, Callable[[Mapping[str, Any]], bool]] = {
     'level_changes': lambda values: values['high'].value < 1.1 * values['low'].value,
@@ -181,7 +181,7 @@ def finding(id: str, axes: tuple[str, ...] = (), **values: object) -> Finding:
 
 
 def missing_values(known: CatalogEntry, values: Mapping[str, Any]) -> list[str]:
-    """Return the names of the values that an entry requires and ``values`` does not contain."""
+    """Return the names of the values that the entry ``known`` requires and ``values`` lacks."""
     return [
         name for name in known.values if name not in known.optional and values.get(name) is None
     ]
@@ -210,14 +210,14 @@ def grouped(findings: Iterable[Finding]) -> tuple[Finding, ...]:
     groups: dict[Hashable, list[Finding]] = {}
     for each in findings:
         values = each.values.items()
-        shared = tuple((n, _kind(v)) for n, v in values) if each.axes else tuple(values)
-        key = (each.id, each.severity, each.stated, shared)
+        equal_parts = tuple((n, _kind(v)) for n, v in values) if each.axes else tuple(values)
+        key = (each.id, each.severity, each.stated, equal_parts)
         groups.setdefault(key, []).append(each)
     return by_consequence(_merged(group) for group in groups.values())
 
 
 def _kind(value: Any) -> Hashable:
-    """Return the part of a value that must be equal in two findings that are merged."""
+    """Return the part of a value that must be equal in two findings that may be merged."""
     if isinstance(value, Estimate):
         return value.axis, value.name, value.value is None
     is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
@@ -237,14 +237,14 @@ def by_consequence(findings: Iterable[Finding]) -> tuple[Finding, ...]:
     """Return findings sorted by their consequence for the user, the most serious finding first.
 
     The order is: faults, other errors, findings that change the numbers for a state estimator,
-    other warnings, notes. The lists in the catalog define the order of the faults, and of the
-    findings that change numbers.
+    other warnings, notes. Within the faults, and within the findings that change the numbers, the
+    lists in the catalog define the order.
     """
     return tuple(sorted(findings, key=_rank))
 
 
 def is_note(finding: Finding) -> bool:
-    """Return whether a finding affects neither the data nor the numbers."""
+    """Return whether a finding affects neither the data nor the numbers for a state estimator."""
     return _rank(finding)[0] == len(SEVERITIES)
 
 
@@ -252,7 +252,7 @@ def _rank(finding: Finding) -> tuple[int, int]:
     """Return the group of a finding and its place in this group, as a key for sorting."""
     entry = CATALOG.get(finding.id)
     if entry is not None and finding.severity == entry.severity:
-        for group, ids in enumerate((_FAULTS, _COUNTS)):
+        for group, ids in enumerate((_FAULTS, _NUMBERS)):
             if finding.id in ids:
                 return group, ids.index(finding.id)
     group = {'error': 0, 'warning': 1, 'info': len(SEVERITIES)}[finding.severity]

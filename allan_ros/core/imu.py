@@ -50,7 +50,7 @@ class ImuBatch:
         Stamps in nanoseconds. The header stamps may repeat, go back or be 0.
     samples : (n, axes) float64 array
         Angular rate in rad/s and specific force in m/s^2, in the order of `AXES`. NaN if a sensor
-        is absent (covariance[0] is -1), or if a value is not a number.
+        is absent (element 0 of its covariance in the message is -1), or if a value is not a number.
     record_ns : (n,) int64 array or None
         Times in nanoseconds at which the samples were recorded or received. They are used if the
         header stamps are unusable. None if the source has no such times.
@@ -127,20 +127,21 @@ class ImuBatch:
         """
         record_ns = None if self.record_ns is None else self.record_ns[which]
         filled = None if self.filled is None else self.filled[:, which]
-        rows = self.samples.T[:, which]  # keeps the samples of an axis together
+        rows = self.samples.T[:, which]  # the samples of an axis stay contiguous in memory
         return ImuBatch(self.stamps_ns[which], rows.T, record_ns, self.frame_id, cut, filled)
 
     def copy(self) -> ImuBatch:
-        """Return a batch that shares no memory with this one; each axis is contiguous."""
+        """Return a copy of the batch; the samples of each axis are contiguous in memory."""
         return joined([self], copy=True)
 
 
 def joined(batches: Sequence[ImuBatch], copy: bool = False) -> ImuBatch:
-    """Concatenate one or more consecutive batches; each axis is contiguous in the result.
+    """Return one batch with the samples of one or more consecutive batches.
 
     Batches without samples are ignored. The result has the ``cut`` of the first batch and the
-    frame_id of the last batch. The record times are None unless all batches have record times. If
-    only one batch has samples, this batch is returned unchanged, or is copied if ``copy`` is set.
+    frame_id of the last batch, and the samples of each axis are contiguous in memory. The record
+    times are None unless all batches have record times. If only one batch has samples, this batch
+    itself is returned, or a copy if ``copy`` is set.
     """
     parts = [part for part in batches if len(part)] or list(batches[:1])
     if len(parts) == 1 and not copy:
@@ -148,8 +149,10 @@ def joined(batches: Sequence[ImuBatch], copy: bool = False) -> ImuBatch:
     records = [part.record_ns for part in parts if part.record_ns is not None]
     filled = None
     if any(part.filled is not None for part in parts):
-        levels = [np.zeros(p.rows.shape, np.int32) if p.filled is None else p.filled for p in parts]
-        filled = np.concatenate(levels, axis=1)
+        filled_of_parts = [
+            np.zeros(p.rows.shape, np.int32) if p.filled is None else p.filled for p in parts
+        ]
+        filled = np.concatenate(filled_of_parts, axis=1)
     rows = np.empty((parts[0].samples.shape[1], sum(map(len, parts))))
     np.concatenate([part.rows for part in parts], axis=1, out=rows)
     return ImuBatch(
@@ -212,7 +215,7 @@ DATASHEET_UNITS = {
     'gyro': {'Q': 'urad', 'N': 'deg/sqrt(h)', 'B': 'deg/h', 'K': 'deg/h^1.5', 'R': 'deg/h^2'},
     'accel': {'Q': 'um/s', 'N': 'm/s/sqrt(h)', 'B': 'ug', 'K': 'ug/sqrt(h)', 'R': 'ug/h'},
 }
-"""Sensor -> term -> unit of datasheets (and of the paper, for gyros)."""
+"""Sensor -> term -> unit in datasheets. Cong et al. 2019 use the same units for gyros."""
 
 UNITS = {
     'rad': Unit('rad', 1.0),
@@ -270,7 +273,7 @@ or R), the samples ('signal'), or the square root of their power spectral densit
 
 
 class ShownUnit(NamedTuple):
-    """A unit of the output, and the factor that converts an SI value to it."""
+    """A unit of the output, and the factor that converts an SI value to this unit."""
 
     name: str
     factor: float
@@ -339,15 +342,15 @@ def sensor_of(axis: str) -> str:
 
 
 def axes_of_sensors(axes: Sequence[str]) -> dict[str, list[int]]:
-    """Return a dict: sensor -> indices of the axes of this sensor in ``axes``.
+    """Return a dict that maps each sensor to the indices of its axes in ``axes``.
 
     >>> axes_of_sensors(['gyro_z', 'accel_x', 'accel_y'])
     {'gyro': [0], 'accel': [1, 2]}
     """
-    found: dict[str, list[int]] = {}
+    indices: dict[str, list[int]] = {}
     for i, axis in enumerate(axes):
-        found.setdefault(sensor_of(axis), []).append(i)
-    return found
+        indices.setdefault(sensor_of(axis), []).append(i)
+    return indices
 
 
 def from_datasheet(term: str, sensor: str, value: float) -> float:
@@ -375,11 +378,11 @@ def to_si(value: float, unit: str, si: str) -> float:
     AllanError
         When the unit is unknown, or has another SI unit; the message lists the possible units.
     """
-    known = UNITS.get(unit)
-    if known is None or known.si != si:
-        fitting = ', '.join(name for name, u in UNITS.items() if u.si == si)
-        raise AllanError(f'unit {unit!r} cannot be used here: use one of {fitting}')
-    return value * known.factor
+    known_unit = UNITS.get(unit)
+    if known_unit is None or known_unit.si != si:
+        possible_units = ', '.join(name for name, u in UNITS.items() if u.si == si)
+        raise AllanError(f'unit {unit!r} cannot be used here: use one of {possible_units}')
+    return value * known_unit.factor
 
 
 def sample_factors(gyro_unit: str, accel_unit: str) -> NDArray[np.float64]:

@@ -49,7 +49,8 @@ def nonnegative_least_squares(
         return x
 
     is_free = np.ones(columns, bool)
-    while np.any((x := solved(is_free))[~signed] < 0.0):  # start of the search, near the solution
+    # find a start near the solution
+    while np.any((x := solved(is_free))[~signed] < 0.0):
         is_free &= (x > 0.0) | signed
     rounding = 10.0 * max(matrix.shape) * np.finfo(float).eps
     rounding_gain = rounding * np.linalg.norm(matrix, axis=0) * np.linalg.norm(target)
@@ -58,8 +59,8 @@ def nonnegative_least_squares(
         if not gain.max() > 0.0:
             break
         is_free[gain.argmax()] = True
-        while (is_below := is_free & ~signed & ((trial := solved(is_free)) <= 0.0)).any():
-            x += (x[is_below] / (x[is_below] - trial[is_below])).min() * (trial - x)
+        while (is_invalid := is_free & ~signed & ((trial := solved(is_free)) <= 0.0)).any():
+            x += (x[is_invalid] / (x[is_invalid] - trial[is_invalid])).min() * (trial - x)
             is_free &= (x > rounding * x.max()) | signed
             x[~is_free] = 0.0
         x = trial

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Conversion of numbers and durations to text, and selection of the prefix of a unit."""
+"""Conversion of numbers and durations to text, and choice of the prefix of a unit."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ VALUE_DIGITS, LIMIT_DIGITS = 4, 3
 def significant(value: float, digits: int) -> str:
     """Return a number rounded to ``digits`` significant digits, with trailing zeros.
 
-    Numbers below 1e-4 or from 1e6 on are in exponential notation.
+    Magnitudes below 1e-4, or of 1e6 or more, are in exponential notation.
 
     >>> significant(0.24199, 4), significant(31.8, 4), significant(12345.6, 3)
     ('0.2420', '31.80', '12300')
@@ -50,8 +50,8 @@ def prefixed(unit: ShownUnit, size: float) -> ShownUnit:
     'mg'
     """
     name, factor = unit
-    for prefix, larger in (('u', 'm'), ('m', '')):
+    for prefix, larger_prefix in (('u', 'm'), ('m', '')):
         rest = name[1:] if name.startswith(prefix) else ''
         if rest.startswith(('g', 'rad', 'm/')) and size * factor >= 1000.0:
-            name, factor = larger + rest, 1e-3 * factor
+            name, factor = larger_prefix + rest, 1e-3 * factor
     return ShownUnit(name, factor)

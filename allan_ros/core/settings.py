@@ -21,8 +21,8 @@ class ParameterInfo:
     """Description of one setting.
 
     ``doc`` is the help text of the setting. ``low`` and ``high`` are the smallest and the largest
-    value, None for no limit. ``choices`` are the only valid texts; empty if all texts are valid. A
-    ``read_only`` setting does not change while a node runs.
+    valid value, None for no limit. ``choices`` are the only valid texts; empty if all texts are
+    valid. A ``read_only`` setting does not change while a node runs.
     """
 
     doc: str
@@ -61,7 +61,7 @@ def parameter(default: Any, doc: str, *limits: Any, **info: Any) -> Any:
 
 
 fixed_parameter = partial(parameter, read_only=True)
-"""Return a `parameter` that does not change while a node runs."""
+"""Function like `parameter`, for a setting that does not change while a node runs."""
 
 
 def describe(settings: Any) -> dict[str, ParameterInfo]:
@@ -70,7 +70,7 @@ def describe(settings: Any) -> dict[str, ParameterInfo]:
 
 
 UNIT_SYSTEMS = ('deg/h', 'SI')
-"""Systems of units of the output: units of datasheets, such as deg/h and ug, or SI."""
+"""Systems of units for the output: 'deg/h' for units of datasheets, such as deg/h and ug; 'SI'."""
 
 LIST = (tuple, list)
 
@@ -81,12 +81,12 @@ EXPECTED: dict[Any, str] = {
     str: 'a text',
     LIST: 'a list',
 }
-"""Type of a setting -> name of this type in messages. The type of a setting is the first of these
-types that its default has."""
+"""Type of a setting -> name of this type in messages. The type of a setting is the first type in
+this dict of which its default is an instance."""
 
 
 def expect(kind: Any, called: str = '', /, **values: object) -> None:
-    """Raise AllanError for the first keyword argument that does not have the type ``kind``.
+    """Raise AllanError for the first keyword argument whose value is not of the type ``kind``.
 
     ``kind`` is a type or a tuple of types. ``called`` is the name of the expected type in the
     message, by default from `EXPECTED`.
@@ -98,7 +98,7 @@ def expect(kind: Any, called: str = '', /, **values: object) -> None:
 
 
 def choose(choices: Collection[str], **values: object) -> None:
-    """Raise AllanError for the first keyword argument that is not one of the choices."""
+    """Raise AllanError for the first keyword argument whose value is not one of the choices."""
     for name, value in values.items():
         if not isinstance(value, str) or value not in choices:
             known = ', '.join(choice for choice in choices if choice)
@@ -113,9 +113,9 @@ def check_names(given: Iterable[str], known: Sequence[str]) -> None:
     """
     for name in given:
         if name not in known:
-            near = difflib.get_close_matches(name, known, 1)
-            use = near[0] if near else ', '.join(known)
-            raise AllanError(f'option {name!r} is unknown: use {use}')
+            similar_names = difflib.get_close_matches(name, known, 1)
+            advice = similar_names[0] if similar_names else ', '.join(known)
+            raise AllanError(f'option {name!r} is unknown: use {advice}')
 
 
 def settings_from(kind: type[T], given: Mapping[str, Any]) -> T:
@@ -161,7 +161,7 @@ LARGEST_SETTING = 1e150
 
 
 def check_range(low: float | None, high: float | None, unit: str = '', /, **values: object) -> None:
-    """Raise AllanError for the first keyword argument that is not a number or out of range.
+    """Raise AllanError for the first keyword argument whose value is no number or out of range.
 
     Parameters
     ----------

@@ -22,7 +22,7 @@ from .settings import LIST, CheckedSettings, check_range, expect, parameter
 Floats = NDArray[np.float64]
 
 BATCH_SAMPLES = 32768
-"""Number of samples in one batch."""
+"""Number of samples in each batch but the last."""
 
 LEVEL = (0.0, 0.0, 0.0, 0.0, 0.0, STANDARD_GRAVITY)
 """Mean of the six axes of an IMU at rest and level, with z up, in rad/s and m/s^2."""
@@ -68,10 +68,10 @@ def _process_options() -> Iterator[tuple[str, type, Any]]:
         meaning = f'of an added {process.name.replace("_", " ")} process'
         yield f'{name}_gyro', float, _gyro(0.0, f'standard deviation {meaning}')
         yield f'{name}_accel', float, _accel(0.0, f'standard deviation {meaning}')
-        for number in process.parameters:
-            parameter_name = number.name.replace('_', ' ')
-            option, default = DEFAULT_SHAPE[number.unit]
-            yield _option(name, number), float, option(default, f'{parameter_name} {meaning}')
+        for shape in process.parameters:
+            parameter_name = shape.name.replace('_', ' ')
+            option, default = DEFAULT_SHAPE[shape.unit]
+            yield _option(name, shape), float, option(default, f'{parameter_name} {meaning}')
 
 
 def _option(name: str, number: Parameter) -> str:
@@ -246,8 +246,8 @@ def simulate_imu(
     kept_indices = np.flatnonzero(~_lost_samples(n, tau0, faults, np.random.default_rng(loss_seed)))
     stamps_ns = stamps_ns[kept_indices]
     if faults.jitter > 0.0:
-        noise = np.random.default_rng(stamp_seed.spawn(1)[0]).standard_normal(len(kept_indices))
-        stamps_ns = stamps_ns + np.round(noise * faults.jitter * 1e9).astype(np.int64)
+        jitter = np.random.default_rng(stamp_seed.spawn(1)[0]).standard_normal(len(kept_indices))
+        stamps_ns = stamps_ns + np.round(jitter * faults.jitter * 1e9).astype(np.int64)
     for first in range(0, len(kept_indices), BATCH_SAMPLES):
         rows = slice(first, first + BATCH_SAMPLES)
         header_ns = stamps_ns[rows]
@@ -308,7 +308,7 @@ def _disturb_samples(
 
 
 def _recursion(pole: float, inputs: Floats) -> Floats:
-    """Return y_k = pole y_(k-1) + x_k along the first axis, with y_0 = x_0."""
+    """Return y_k = pole y_(k-1) + x_k along the first axis; x are the ``inputs``, and y_0 = x_0."""
     from scipy.signal import lfilter  # slow to import, and rarely needed
 
     return np.asarray(lfilter([1.0], [1.0, -pole], inputs, axis=0))
@@ -319,14 +319,14 @@ def _held_index(n: int, tau0: float, rate: float) -> NDArray[np.int64]:
 
     A sensor with the lower rate ``rate`` in Hz gets a new value at the ticks of its own clock.
     """
-    # Rounding must not hide a tick of the slower clock that coincides with a sample.
+    # 1e-9 prevents that rounding errors hide a tick that coincides with a sample.
     ticks = np.floor(np.arange(n) * tau0 * rate + 1e-9)
     repeated_index = np.minimum(np.ceil(ticks / (tau0 * rate) - 1e-9), np.arange(n))
     return np.asarray(repeated_index, np.int64)
 
 
 def _in_periods(times: Floats, periods: Periods) -> NDArray[np.bool_]:
-    """Return whether each time lies in one of the periods, (n,)."""
+    """Return whether each of n times in s lies in one of the periods, (n,)."""
     is_inside = np.zeros(len(times), bool)
     for start, length in periods:
         is_inside |= (times >= start) & (times < start + length)
@@ -336,7 +336,7 @@ def _in_periods(times: Floats, periods: Periods) -> NDArray[np.bool_]:
 def _lost_samples(
     n: int, tau0: float, faults: Faults, rng: np.random.Generator
 ) -> NDArray[np.bool_]:
-    """Return whether each sample is lost in a gap or at random, (n,).
+    """Return whether each of n samples is lost in a gap or at random, (n,).
 
     The first sample is never lost.
     """

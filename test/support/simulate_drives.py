@@ -46,13 +46,13 @@ class Route(CheckedSettings):
 
 @dataclass(frozen=True)
 class MotionErrors(CheckedSettings):
-    """Errors that motion causes in an IMU, and motion at the rests; by default, there are none.
+    """Errors that motion causes in an IMU, and motion that continues at rest; none by default.
 
-    The elements of the three error matrices of `SimulatedDrives` are random. ``gyro_scale`` is the
-    standard deviation of the diagonal elements of the gyro matrix, and ``gyro_misalignment`` of its
-    other elements. ``accel_scale`` is the standard deviation of the diagonal elements of the
-    accelerometer matrix, whose other elements are 0. ``g_sensitivity`` is the standard deviation of
-    all elements of the third matrix.
+    The elements of the three error matrices of `SimulatedDrives` are random. In ``gyro_matrix``,
+    ``gyro_scale`` is the standard deviation of the diagonal elements, and ``gyro_misalignment`` of
+    the other elements. In ``accel_matrix``, ``accel_scale`` is the standard deviation of the
+    diagonal elements; the other elements are 0. In ``g_sensitivity``, all elements have the
+    standard deviation ``g_sensitivity``.
 
     Raises
     ------
@@ -130,7 +130,7 @@ class SimulatedDrives:
     samples : (n, 6) array
         Measured angular rate in rad/s and specific force in m/s^2.
     drives : tuple of (start, end)
-        Index of the first sample of each drive, and of the first sample after the drive.
+        Index of the first sample of each drive, and index of the first sample after the drive.
     angles : (n + 1, 3) array
         True roll, pitch and yaw in rad at the start of each sample, and at the end of the last
         sample.
@@ -170,13 +170,18 @@ def simulate_drives(
     route : Route
         The motion.
     errors : MotionErrors
-        Errors that only motion shows.
+        Errors that motion causes, and motion that continues at rest.
     seed : int
         Seed of the random numbers.
 
     Returns
     -------
     SimulatedDrives
+
+    Raises
+    ------
+    AllanError
+        When the rate is out of range.
 
     Examples
     --------
@@ -225,17 +230,20 @@ def simulate_drives(
 
 
 class _Path(NamedTuple):
-    """Motion of the robot. Angles and speed are given at the n + 1 edges of the n samples."""
+    """Motion of the robot during n samples.
+
+    Angles and speed are given at the start of each sample and at the end of the last sample.
+    """
 
     rate: float
     drives: tuple[tuple[int, int], ...]
-    moving: Floats  # (n,); 1 in drives, 0 at rest
-    angles: Floats  # (n + 1, 3); roll, pitch, yaw in rad
-    speed: Floats  # (n + 1,); forward speed in m/s
+    moving: Floats  # 1 in drives, 0 at rest, (n,)
+    angles: Floats  # roll, pitch and yaw in rad, (n + 1, 3)
+    speed: Floats  # forward speed in m/s, (n + 1,)
 
     @classmethod
     def of(cls, rate: float, route: Route, errors: MotionErrors, rng: np.random.Generator) -> _Path:
-        """Draw a random path. The slope of the ground changes during each drive."""
+        """Return a random path, in which the slope of the ground changes during each drive."""
         durations = rng.uniform(route.shortest, max(route.longest, route.shortest), route.drives)
         end_of_path, drives = round(route.first * rate), []
         for duration in durations:
@@ -305,27 +313,33 @@ def _smooth(n: int, width: float, rng: np.random.Generator) -> Floats:
 
 
 def _envelope(n: int, ramp: float) -> Floats:
-    """Return a window, (n,), that rises from 0 to 1 and falls to 0, in ``ramp`` samples or less."""
+    """Return a window, (n,), that rises from 0 to 1, and falls to 0 at its end.
+
+    The rise and the fall each last ``ramp`` samples, but at most a quarter of the window.
+    """
     index = np.arange(n)
     x = np.clip(np.minimum(index, n - 1 - index) / max(min(ramp, n / 4.0), 1.0), 0.0, 1.0)
     return np.asarray(x**2 * (3.0 - 2.0 * x))
 
 
 def _first_order(x: Floats, time: float) -> Floats:
-    """Return the response of a first-order system to x, (n,).
+    """Return the response of a first-order system to the input ``x``, (n,).
 
     ``time`` is the time constant of the system in samples.
     """
     decay = math.exp(-1.0 / time)
-    response, last = np.empty(len(x)), 0.0
+    response, last_response = np.empty(len(x)), 0.0
     for i, value in enumerate(x.tolist()):
-        last = decay * last + (1.0 - decay) * value
-        response[i] = last
+        last_response = decay * last_response + (1.0 - decay) * value
+        response[i] = last_response
     return response
 
 
 def _from_euler(angles: Floats) -> Floats:
-    """Return the matrices Rz(yaw) Ry(pitch) Rx(roll), (n, 3, 3), of roll, pitch and yaw, (n, 3)."""
+    """Return the rotation matrices Rz(yaw) Ry(pitch) Rx(roll), (n, 3, 3).
+
+    ``angles`` are roll, pitch and yaw in rad, (n, 3).
+    """
     zero = np.zeros(len(angles))
     roll = rotation_matrices(np.stack([angles[:, 0], zero, zero], axis=1))
     pitch = rotation_matrices(np.stack([zero, angles[:, 1], zero], axis=1))
@@ -334,7 +348,7 @@ def _from_euler(angles: Floats) -> Floats:
 
 
 def _rotation_vectors(matrices: Floats) -> Floats:
-    """Return the rotation vectors, (n, 3), of matrices of small rotations, (n, 3, 3)."""
+    """Return the rotation vectors in rad, (n, 3), of matrices of small rotations, (n, 3, 3)."""
     skew = (matrices - np.swapaxes(matrices, 1, 2)) / 2.0
     sine_vector = np.stack([skew[:, 2, 1], skew[:, 0, 2], skew[:, 1, 0]], axis=1)
     sine_norm = np.linalg.norm(sine_vector, axis=1)[:, None]

@@ -52,13 +52,13 @@ class BiasModel(NamedTuple):
         """Return the model from the fit of an axis.
 
         The prior standard deviation of the slope is sqrt(R^2 + s^2), where s is the standard error
-        of R. The model has a slope even if R is not resolved: without a slope, the 95 % interval of
-        the bias 10 min ahead would contain only 89 to 93 % of the values of simulated sensors.
+        of R. The model has a slope even if R is not resolved: without a slope, the 95 % intervals
+        for the bias 10 min ahead contained the true bias of only 89 to 93 % of simulated sensors.
         """
         ramp = fit.noise['R'].magnitude
         value, limit = ramp.value or 0.0, ramp.upper95 or 0.0
         if ramp.status == 'estimated':
-            # without an interval, the prior is vague
+            # without an interval, the prior distribution is wide
             low, high = ramp.ci95 or (0.0, 2e3 * Z_95 * value)
             error = (high - low) / (2.0 * Z_95)
         else:
@@ -90,7 +90,7 @@ class BiasFilter:
     def __init__(self, model: BiasModel) -> None:
         space = state_space(model.processes.drift)
         if not space.white and not space.walk:
-            # without any noise, the innovation variance would become 0
+            # without noise, the variance of the prediction error would become 0
             space = replace(space, white=1e-12)
         self._space = replace(space, slope=bool(model.slope_std))
         self._slope_std = model.slope_std
@@ -115,17 +115,17 @@ class BiasFilter:
             ]
             self._has_mean = False
             self._errors.clear()
-            for each in means_after_step:
-                self._update(each)
+            for mean_after_step in means_after_step:
+                self._update(mean_after_step)
 
     def _update(self, mean: float) -> None:
-        if not self._has_mean:  # the prior of the constant part of the bias is vague
-            deviations = [value for value, _ in self._space.processes]
-            vague_std = 1e3 * (
-                sum(deviations) + self._space.white + self._space.walk + self._slope_std
+        if not self._has_mean:  # the prior distribution of the constant bias is wide
+            process_stds = [value for value, _ in self._space.processes]
+            wide_std = 1e3 * (
+                sum(process_stds) + self._space.white + self._space.walk + self._slope_std
             )
             self._state[1] = mean
-            self._covariance = self._space.initial_covariance(vague_std, self._slope_std)
+            self._covariance = self._space.initial_covariance(wide_std, self._slope_std)
         self._predict(self._phi, self._noise)
         variance = self._covariance[0, 0]
         gain = self._covariance[:, 0] / variance
@@ -136,7 +136,7 @@ class BiasFilter:
         self._has_mean = True
 
     def pause(self, seconds: float) -> None:
-        """Predict the state over a time in s for which there is no mean, for example a motion."""
+        """Predict the state over a time in s without means, for example during motion."""
         if self._has_mean and seconds > 0.0:
             self._predict(self._space.transition(seconds), self._space.noise(seconds))
 
@@ -159,7 +159,7 @@ class BiasFilter:
 
     def _predict(self, phi: Floats, noise: Floats) -> None:
         phi = phi.copy()
-        phi[0, 0] = 0.0  # the integral of the samples starts from 0 for each mean
+        phi[0, 0] = 0.0  # each mean is an integral of samples that starts from 0
         self._state = phi @ self._state
         self._covariance = phi @ self._covariance @ phi.T + noise
 
@@ -218,17 +218,16 @@ class BiasTracker:
         return max((self._means[axis][-1][0] for axis in self._filters), default=0)
 
     def _restart(self, axis: str) -> None:
-        """Start a new filter for an axis that has a model and means, and add the stored means."""
+        """Start a new filter for an axis and add its stored means, if it has a model and means."""
         if axis in self._models and (means := self._means.get(axis)):
             self._filters[axis] = BiasFilter(self._models[axis])
             _add(self._filters[axis], means)
 
 
 def _add(bias: BiasFilter, means: Iterable[tuple[int, float]], last_end: int | None = None) -> None:
-    """Add pairs (end time in ns, mean) to a filter.
+    """Add means over 1 s to a filter; ``means`` yields pairs (end time in ns, mean).
 
-    ``last_end`` is the end time in ns of the mean before the first pair; None if the first pair is
-    the first mean of the filter.
+    ``last_end`` is the end time in ns of the last mean added before; None if there is none.
     """
     for end, mean in means:
         pause = 0.0 if last_end is None else (end - last_end) * 1e-9 - MEAN_S

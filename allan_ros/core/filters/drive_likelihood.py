@@ -11,7 +11,7 @@ distributed with mean 0 and the covariance
 
 D contains the errors that are independent from drive to drive, in one block per drive. M_i are
 covariances due to the noise of the sensors as measured at rest, and s_i is the factor by which this
-noise is larger in motion. F is the covariance due to white noise in the means of the rests, and due
+noise is larger in motion. F is the covariance due to white noise in the means at the rests, and due
 to errors of second order.
 
 Each column of U is the effect of one unknown that all drives have in common, times the prior
@@ -48,7 +48,7 @@ from ..stream.drives import (
 Floats = NDArray[np.float64]
 
 SIGMA_BIAS = 0.5
-"""Prior standard deviation of the bias of an axis of the accelerometer in m/s^2 (about 50 mg)."""
+"""Prior standard deviation of the bias of an accelerometer axis in m/s^2 (about 50 mg)."""
 
 GRAVITY, SIGMA_GRAVITY = 9.806, 0.03
 """Gravity on the surface of the Earth and its prior standard deviation in m/s^2. This standard
@@ -75,7 +75,7 @@ MOST_STEPS, STEP, CONVERGED = 60, 1.5, 3e-3
 one step, and change in one step below which the iteration ends."""
 
 Groups = tuple[tuple[str, ...], ...]
-"""For each factor s_i, the names of the covariances that are multiplied by it."""
+"""For each factor s_i, the names of the covariances that are multiplied by s_i^2."""
 
 
 class NoiseAtRest(NamedTuple):
@@ -86,7 +86,7 @@ class NoiseAtRest(NamedTuple):
     white : float
         White noise density N in SI.
     slow : function
-        Autocovariance of the noise that is not white (the drift).
+        Autocovariance of the noise that is not white (the drift); see `SlowNoise`.
     unknown : float
         Prior standard deviation of the logarithm of the power of the drift, if the size of the
         drift is unknown; 0 if the drift was measured. The size of an unknown drift is estimated
@@ -104,7 +104,7 @@ class Fit(NamedTuple):
     Attributes
     ----------
     groups : tuple of tuple of str
-        For each factor, the names of the covariances that are multiplied by it.
+        For each factor s_i, the names of the covariances that are multiplied by s_i^2.
     causes : tuple of str
         Names of the calibration errors in the model, keys of `CAUSES`.
     log_factors : (k,) array
@@ -229,13 +229,13 @@ class DriveLikelihood:
         )
 
     def fit(self, groups: Groups, causes: tuple[str, ...] = (), start: Fit | None = None) -> Fit:
-        """Maximize the likelihood over the factors.
+        """Return the fit of the factors s_i that maximize the likelihood.
 
         Parameters
         ----------
         groups : tuple of tuple of str
-            For each factor, the names of the covariances that are multiplied by it. Each unknown
-            drift has an additional factor of its own. Noise in no group has the factor 1.
+            For each factor s_i, the names of the covariances that are multiplied by s_i^2. In
+            addition, each unknown drift has its own factor. Noise in no group has the factor 1.
         causes : tuple of str
             Names of the calibration errors in the model, keys of `CAUSES`.
         start : Fit, optional
@@ -268,7 +268,7 @@ class DriveLikelihood:
         return best
 
     def covariances(self, groups: Groups, log_factors: Floats) -> tuple[list[Floats], Floats]:
-        """Return a list of s_i^2 M_i for each factor, and D; all arrays are (drives, 9, 9)."""
+        """Return the list of s_i^2 M_i for all factors, and D; all arrays are (drives, 9, 9)."""
         zero = np.zeros_like(self.own)
         scaled = [
             math.exp(x) * sum((self.noise.get(name, zero) for name in names), zero)
@@ -285,34 +285,38 @@ class DriveLikelihood:
     def _evaluated(
         self, groups: Groups, causes: tuple[str, ...], sigma: Floats, theta: Floats
     ) -> Fit:
-        """Return the likelihood and its derivatives at the logarithms ``theta`` of s_i^2.
+        """Return the likelihood and its derivatives; ``theta`` are the logarithms of s_i^2.
 
         ``sigma`` are the prior standard deviations of these logarithms.
         """
         scaled, d_matrix = self.covariances(groups, theta)
         inverse = np.linalg.inv(d_matrix)
         u = self.all_effects(causes)
-        w = inverse @ u  # D^-1 U
-        precision = np.eye(u.shape[2]) + np.einsum('dir,dis->rs', u, w)
+        d_inverse_u = inverse @ u
+        precision = np.eye(u.shape[2]) + np.einsum('dir,dis->rs', u, d_inverse_u)
         covariance = np.linalg.inv(precision)
-        weighted_by_d = np.einsum('dij,dj->di', inverse, self.y)  # D^-1 y
-        mean = covariance @ np.einsum('dir,di->r', u, weighted_by_d)
-        weighted = weighted_by_d - w @ mean  # V^-1 y
-        value = -float((self.y * weighted).sum()) - float(np.linalg.slogdet(precision)[1])
+        d_inverse_y = np.einsum('dij,dj->di', inverse, self.y)
+        mean = covariance @ np.einsum('dir,di->r', u, d_inverse_y)
+        v_inverse_y = d_inverse_y - d_inverse_u @ mean
+        value = -float((self.y * v_inverse_y).sum()) - float(np.linalg.slogdet(precision)[1])
         value -= float(np.linalg.slogdet(d_matrix)[1].sum()) + float(np.square(theta / sigma).sum())
-        blocks = inverse - w @ covariance @ w.swapaxes(1, 2)  # blocks of V^-1 on the diagonal
+        # the blocks of V^-1 on its diagonal, one for each drive
+        v_inverse_blocks = inverse - d_inverse_u @ covariance @ d_inverse_u.swapaxes(1, 2)
         scores = np.empty((len(self.y), len(scaled)))
         for k, m in enumerate(scaled):
-            scores[:, k] = np.einsum('di,dij,dj->d', weighted, m, weighted)
-            scores[:, k] -= np.einsum('dij,dji->d', blocks, m)
+            scores[:, k] = np.einsum('di,dij,dj->d', v_inverse_y, m, v_inverse_y)
+            scores[:, k] -= np.einsum('dij,dji->d', v_inverse_blocks, m)
         from_common = [
-            covariance @ np.einsum('dir,dij,djs->rs', w, m, w, optimize=True) for m in scaled
+            covariance @ np.einsum('dir,dij,djs->rs', d_inverse_u, m, d_inverse_u, optimize=True)
+            for m in scaled
         ]
         products = [inverse @ m for m in scaled]
         information = np.empty((len(scaled), len(scaled)))
         for i, (a, m) in enumerate(zip(products, scaled)):
             for j, b in enumerate(products):
-                shared = np.einsum('dir,dij,djk,dks->rs', w, m, b, w, optimize=True)
+                shared = np.einsum(
+                    'dir,dij,djk,dks->rs', d_inverse_u, m, b, d_inverse_u, optimize=True
+                )
                 information[i, j] = (
                     np.einsum('dij,dji->', a, b)
                     - 2.0 * np.sum(covariance * shared.T)
@@ -324,7 +328,8 @@ class DriveLikelihood:
     def elements(self, fit: Fit, name: str) -> tuple[Floats, Floats]:
         """Return the posterior means, (k,), and standard deviations, (k,), of a calibration error.
 
-        ``name`` is one of the causes of the fit.
+        ``name`` is one of the causes of the fit. The elements of 'rotation' are in rad, the
+        elements of 'g_sensitivity' in rad/s/(m/s^2); other elements have no unit.
         """
         first_column = self.common.shape[2]
         for each in fit.causes[: fit.causes.index(name)]:
@@ -334,11 +339,11 @@ class DriveLikelihood:
         return CAUSES[name] * fit.mean[columns], CAUSES[name] * deviations
 
     def ratios(self, fit: Fit) -> Floats:
-        """Return the rotation and the velocity error of each drive relative to its predicted rms.
+        """Return the rotation and the velocity error of each drive, relative to the prediction.
 
         The result is (drives, 2). The fitted effects of the accelerometer bias and of the rotation
-        of the Earth are subtracted from the errors. The prediction contains the noise at rest, and
-        unknown drift with its fitted size.
+        of the Earth are subtracted from the errors. The predicted root mean square error contains
+        the noise at rest, and unknown drift with its fitted size.
         """
         errors = self.y - self.common @ fit.mean[: self.common.shape[2]]
         log_factors_at_rest = np.where(
@@ -355,31 +360,31 @@ class DriveLikelihood:
 
 
 def _second_order(drive: DriveErrors) -> Floats:
-    """Return the size of errors of second order in the rotation, (9,).
+    """Return the size of the residuals, (9,), that are of second order in the rotation error.
 
     A rotation error psi moves the vector of gravity g by psi g to first order, and by psi^2 g / 2
     to second order. The rotation residual determines psi at the end of the drive, and the velocity
     residual the mean of psi.
     """
-    at_end = float(np.linalg.norm(drive.residual[ROTATION])) / GRAVITY
-    mean = float(np.linalg.norm(drive.residual[VELOCITY])) / (GRAVITY * drive.duration)
+    end_angle = float(np.linalg.norm(drive.residual[ROTATION])) / GRAVITY
+    mean_angle = float(np.linalg.norm(drive.residual[VELOCITY])) / (GRAVITY * drive.duration)
     sizes = np.zeros(ROWS)
-    sizes[ROTATION] = at_end**2 * GRAVITY / 2.0
-    sizes[VELOCITY] = (at_end**2 + mean**2) * GRAVITY / 2.0 * drive.duration
+    sizes[ROTATION] = end_angle**2 * GRAVITY / 2.0
+    sizes[VELOCITY] = (end_angle**2 + mean_angle**2) * GRAVITY / 2.0 * drive.duration
     return sizes
 
 
 def _accel_bias(drives: Sequence[DriveErrors]) -> tuple[Floats, Floats]:
-    """Return the mean, (3,), and the covariance, (3, 3), of the accelerometer bias.
+    """Return the mean, (3,), and the covariance, (3, 3), of the accelerometer bias in m/s^2.
 
     The bias is estimated from the magnitude of the specific force at rest, which equals gravity.
     """
     force = np.array([each.force for each in drives])
-    length = np.linalg.norm(force, axis=1)
-    up = force / length[:, None]
+    force_norm = np.linalg.norm(force, axis=1)
+    up = force / force_norm[:, None]
     information = up.T @ up / len(drives) / SIGMA_GRAVITY**2
     covariance = np.linalg.inv(np.eye(3) / SIGMA_BIAS**2 + information)
-    return covariance @ up.T @ (length - GRAVITY) / len(drives) / SIGMA_GRAVITY**2, covariance
+    return covariance @ up.T @ (force_norm - GRAVITY) / len(drives) / SIGMA_GRAVITY**2, covariance
 
 
 def _turned_earth(drives: Sequence[DriveErrors]) -> Floats:
@@ -391,7 +396,8 @@ def _turned_earth(drives: Sequence[DriveErrors]) -> Floats:
     """
     chain_starts = [i for i, each in enumerate(drives) if i == 0 or not each.follows]
     effects = np.zeros((len(drives), ROWS, len(chain_starts), 3))
-    # frame rotates from sensor axes at the start of a drive to the axes at the start of the chain
+    # ``frame`` rotates from the sensor axes at the start of a drive to the sensor axes at the start
+    # of its chain
     column, frame = -1, np.eye(3)
     for i, each in enumerate(drives):
         if i in chain_starts:
@@ -402,9 +408,12 @@ def _turned_earth(drives: Sequence[DriveErrors]) -> Floats:
 
 
 def _bias_scatter(slow: SlowNoise, drives: Sequence[DriveErrors]) -> float:
-    """Return the expected variance of a bias between the starts of the drives."""
-    start = np.array([each.start for each in drives])
-    averaging_s = 10.0  # s
-    lags = np.abs(start[:, None] - start) / averaging_s
+    """Return the expected sample variance of a bias at the starts of the drives.
+
+    ``slow`` is the autocovariance of the bias. Each bias is a mean over 10 s.
+    """
+    start_times = np.array([each.start for each in drives])
+    averaging_s = 10.0
+    lags = np.abs(start_times[:, None] - start_times) / averaging_s
     at_lags, at_zero = slow(averaging_s, np.maximum(lags, 1.0)), slow(averaging_s, np.zeros(1))
     return float(np.mean((at_zero[0] - np.asarray(at_lags)) * np.minimum(lags, 1.0)))

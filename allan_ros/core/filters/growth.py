@@ -41,14 +41,15 @@ HOUR = 3600.0
 """Duration of an hour in s."""
 
 INDEPENDENT = 2.0
-"""Assumed number of independent errors in a time of h + W. If the autocorrelation of the errors is
-rho, their mean square over a time T varies as much as the mean square of T / (integral of rho^2)
-independent errors. For h = W and T = h + W, this number is 3.0 for white noise and 1.9 for a random
-walk."""
+"""Assumed number of independent errors in a time h + W, where h is the prediction horizon and W the
+averaging time of the bias. If rho is the autocorrelation of the errors, their mean square over a
+time T varies as much as the mean square of T / (integral of rho^2) independent errors. For h = W
+and T = h + W, this number is 3.0 for white noise and 1.9 for a random walk."""
 
 GROWTH_S = (1.0, 10.0, 30.0, 100.0, 300.0)
 GROWTH_WINDOW_S = 100.0
-"""Prediction horizons of `growth_table` and averaging time of the bias before them, in s."""
+"""Prediction horizons of `growth_table`, and time over which the bias is averaged before time 0, in
+s."""
 
 
 def predicted_growth(model: Model, horizon: ArrayLike, window: ArrayLike) -> Floats:
@@ -83,20 +84,20 @@ def predicted_growth(model: Model, horizon: ArrayLike, window: ArrayLike) -> Flo
 
 
 def growth_parts(model: Model, horizon: ArrayLike, window: ArrayLike) -> Mapping[Process, Floats]:
-    """Return process -> variance of the error that is due to this process.
+    """Return a dict that maps each process to the variance of the error due to this process.
 
     The parameters are the same as in `predicted_growth`. The variances have the squared unit of the
     samples times s^2, and the broadcast shape of ``horizon`` and ``window``.
     """
     h, w = np.broadcast_arrays(np.asarray(horizon, float), np.asarray(window, float))
     step = CONTINUOUS * float(min(h.min(initial=1.0), w.min(initial=1.0)))
-    found: dict[Process, Floats] = {}
+    variances: dict[Process, Floats] = {}
     for process, value, *_ in model.parts:
         unit = step**2 * growth_variance(process.in_unit(step), h / step, w / step)
         with np.errstate(over='ignore'):
             variance = np.minimum(process.variance_of(value, step) * unit, LARGEST_VARIANCE)
-        found[process] = found.get(process, np.zeros(np.shape(h))) + variance
-    return found
+        variances[process] = variances.get(process, np.zeros(np.shape(h))) + variance
+    return variances
 
 
 @dataclass(frozen=True)
@@ -159,19 +160,21 @@ def growth_table(
     end_models = interval_models(fit, predictive=False)
     if end_models is None:
         return tuple(
-            Growth(float(one), window, Estimate(float(value))) for one, value in zip(h, std)
+            Growth(float(horizon), window, Estimate(float(value))) for horizon, value in zip(h, std)
         )
-    low, high = (one.drift for one in end_models)
+    low, high = (model_at_end.drift for model_at_end in end_models)
     high = high.changed(**{t: high.value(t) or _limit(fit, t) for t in 'NBKR'})
-    parts = [growth_parts(one, h, window) for one in (model, low, high)]
+    parts = [growth_parts(model_at_end, h, window) for model_at_end in (model, low, high)]
     zero = np.zeros(len(h))
     total, distance_below, distance_above, scatter = zero, zero, zero, zero
     for process in {**parts[0], **parts[2]}:
-        middle, bottom, top = (part.get(process, zero) for part in parts)
-        total = total + middle
-        distance_below = np.hypot(distance_below, np.maximum(middle - bottom, 0.0))
-        distance_above = np.hypot(distance_above, np.maximum(top - middle, 0.0))
-        scatter = scatter + middle * (fit.white_scatter if process.is_white else fit.drift_scatter)
+        estimated, lower, upper = (part.get(process, zero) for part in parts)
+        total = total + estimated
+        distance_below = np.hypot(distance_below, np.maximum(estimated - lower, 0.0))
+        distance_above = np.hypot(distance_above, np.maximum(upper - estimated, 0.0))
+        scatter = scatter + estimated * (
+            fit.white_scatter if process.is_white else fit.drift_scatter
+        )
     lowest = np.sqrt(np.maximum(total - distance_below, 0.0))
     highest = np.sqrt(total + distance_above)
     hour_scatter = Z_95 / np.sqrt(2.0 * INDEPENDENT * HOUR / (h + window))
@@ -207,9 +210,9 @@ def _limit(fit: AxisFit, term: str) -> float:
 
 
 def interval_models(fit: AxisFit, predictive: bool = True) -> tuple[Model, Model] | None:
-    """Return the model of an axis with its coefficients at the ends of their 95 % intervals.
+    """Return two models of an axis with coefficients at the ends of their 95 % intervals.
 
-    The first model has all coefficients at the lower ends, the second model at the upper ends. The
+    In the first model, all coefficients are at the lower ends, in the second at the upper ends. The
     interval of a term that has only an upper limit begins at 0. R is replaced by its magnitude, and
     Q by 0. Shapes and sinusoids are unchanged.
 

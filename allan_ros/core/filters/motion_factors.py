@@ -44,28 +44,28 @@ GAIN_CAUSE = 10.0
 cause."""
 
 GAIN_PART = 4.0
-"""Smallest difference in 2 log L between two fits, with a factor for the white noise alone and with
-a factor for the drift alone, for which the better fit is used. If the difference is smaller, one
-factor multiplies white noise and drift."""
+"""Two fits are compared: one with a factor for the white noise alone, and one with a factor for the
+drift alone. The better fit is used only if its 2 log L is larger by more than this number.
+Otherwise, one factor multiplies white noise and drift."""
 
 TYPICAL_SHARE = 0.5
 """Assumed ratio of an unresolved term to its upper limit, if another drift is resolved. In 1 h at
-rest of a typical MEMS IMU, B is 0.6 to 0.8 times its limit, and the errors of drives of a minute
-depend on it as much as on N."""
+rest of a typical MEMS IMU, B is 0.6 to 0.8 times its limit. The errors of drives of one minute
+depend on B as much as on N."""
 
 WORSE_QUANTILE = 0.995
-"""A sensor is called worse in motion if an interval of its factor between this quantile and its
-complement (99 %) lies above 1. With 95 %, 4 % of the sensors without errors in motion would be
-called worse, and with 99 % fewer than 1 % (measured with 640 sensors)."""
+"""Quantile at the upper end of a 99 % interval. A sensor is called worse in motion if the 99 %
+interval of its factor lies above 1. With a 95 % interval, 4 % of the sensors without errors in
+motion would be called worse, and with 99 % fewer than 1 % (measured with 640 sensors)."""
 
 KNOWN_SHARE = 0.5
-"""An element of a matrix is resolved if its posterior standard deviation is below this share of its
-prior standard deviation."""
+"""An element of a calibration error is resolved if its posterior standard deviation is below this
+share of its prior standard deviation."""
 
 Part = Literal['all', 'white', 'slow']
 
 BOTH = ('gyro_white', 'gyro_slow'), ('accel_white', 'accel_slow')
-"""Noise that is multiplied by one factor for the gyro, and by one factor for the accelerometer."""
+"""Names of the noise that is multiplied by one factor: of the gyro, and of the accelerometer."""
 
 
 @dataclass(frozen=True)
@@ -96,7 +96,9 @@ class Cause:
 
         For 'rotation', this is the cross-product matrix of the rotation vector in rad.
         """
-        values = np.array([np.nan if one.value is None else one.value for one in self.elements])
+        values = np.array(
+            [np.nan if element.value is None else element.value for element in self.elements]
+        )
         return values.reshape(3, 3) if len(values) == 9 else cross_matrices(values)
 
     @classmethod
@@ -156,8 +158,9 @@ class SensorInMotion:
 
     @property
     def raised(self) -> Mapping[str, Estimate]:
-        """Term ('N' or 'K') -> factor, for each term that differs in motion from rest."""
-        return {term: one for term, one in (('N', self.white), ('K', self.slow)) if one is not None}
+        """Term ('N' or 'K') -> factor, for each term that differs between motion and rest."""
+        factors = (('N', self.white), ('K', self.slow))
+        return {term: factor for term, factor in factors if factor is not None}
 
 
 @dataclass(frozen=True)
@@ -194,8 +197,8 @@ class NoiseInMotion:
         if not value or ends is None or ends[0] <= 1.0:
             return False
         drives = len(self.drives)
-        wider = _quantile(drives, WORSE_QUANTILE) / _quantile(drives)
-        return math.log(value) > wider * math.log(value / ends[0])
+        width_ratio = _quantile(drives, WORSE_QUANTILE) / _quantile(drives)
+        return math.log(value) > width_ratio * math.log(value / ends[0])
 
     @property
     def sensors(self) -> Mapping[str, SensorInMotion]:
@@ -240,7 +243,7 @@ def axis_noise(model: Model, tau0: float, limits: Mapping[str, float] = {}) -> N
         drift_parts = list(
             Model.of(**{n: x * math.sqrt(low * high) for n, x in typical_drift.items()}).parts
         )
-        sigma = math.log(high / low) / LIMIT  # for the logarithm of the power
+        sigma = math.log(high / low) / LIMIT  # standard deviation of the logarithm of the power
     else:
         unresolved = {name: TYPICAL_SHARE * limit for name, limit in limits.items() if limit}
         drift_parts += Model.of(**unresolved).parts
@@ -259,7 +262,7 @@ def axis_noise(model: Model, tau0: float, limits: Mapping[str, float] = {}) -> N
 def noise_in_motion(
     drives: Sequence[DriveErrors], noise: Sequence[NoiseAtRest]
 ) -> NoiseInMotion | None:
-    """Return the factors of gyro and accelerometer, and the causes; None for fewer than 5 drives.
+    """Return the errors of an IMU in motion, relative to its noise at rest, and their causes.
 
     Parameters
     ----------
@@ -271,36 +274,40 @@ def noise_in_motion(
     Returns
     -------
     NoiseInMotion or None
+        None for fewer than 5 drives (`LEAST_DRIVES`).
     """
     if len(drives) < LEAST_DRIVES:
         return None
     data = DriveLikelihood.of(drives, noise)
-    plain = data.fit(BOTH)
-    best, gains = _with_causes(data, plain)
+    fit_without_causes = data.fit(BOTH)
+    fit_with_causes, gains = _with_causes(data, fit_without_causes)
     sensors = {}
     for sensor in SENSORS:
-        part, fit = _part(data, plain, sensor)
-        explained = _ratio(data, best, sensor) if gains else None
+        part, fit = _part(data, fit_without_causes, sensor)
+        explained = _ratio(data, fit_with_causes, sensor) if gains else None
         raised = _raised(data, fit, sensor, part)
         sensors[sensor] = SensorInMotion(_ratio(data, fit, sensor), *raised, explained)
-    ratios = zip(drives, data.ratios(plain).tolist())
+    ratios = zip(drives, data.ratios(fit_without_causes).tolist())
     return NoiseInMotion(
         **sensors,
-        causes=tuple(Cause(name, gains[name], _elements(data, best, name)) for name in best.causes),
+        causes=tuple(
+            Cause(name, gains[name], _elements(data, fit_with_causes, name))
+            for name in fit_with_causes.causes
+        ),
         drives=tuple(DriveRatio(each.duration, each.turned, *ratio) for each, ratio in ratios),
     )
 
 
-def _with_causes(data: DriveLikelihood, plain: Fit) -> tuple[Fit, dict[str, float]]:
-    """Return a fit with causes, and the increase of 2 log L by each cause.
+def _with_causes(data: DriveLikelihood, fit_without_causes: Fit) -> tuple[Fit, dict[str, float]]:
+    """Return the fit with all causes, and a dict: cause -> increase of 2 log L by this cause.
 
     The causes are added one by one, as long as the next cause increases 2 log L by `GAIN_CAUSE`.
     """
-    best, gains = plain, {}
+    best, gains = fit_without_causes, {}
     while names := [name for name in CAUSES if name not in best.causes]:
         trials = {}
         for name in names:
-            # a matrix includes the rotation
+            # a matrix replaces the rotation, which it includes
             other_causes = [
                 x for x in best.causes if x != 'rotation' or not name.endswith('matrix')
             ]
@@ -347,10 +354,10 @@ def _ratio(data: DriveLikelihood, fit: Fit, sensor: str) -> Estimate:
 def _raised(
     data: DriveLikelihood, fit: Fit, sensor: str, part: Part
 ) -> tuple[Estimate | None, Estimate | None]:
-    """Return the factors of the white noise and of the drift of a sensor; None for no change."""
+    """Return the factors of the white noise and of the drift of a sensor; None for no factor."""
     half_widths = _quantile(len(fit.scores)) * fit.errors
     factors = {
-        names[0]: tuple(math.exp((x + s * h - offset) / 2.0) for s in (0.0, -1.0, 1.0))
+        names[0]: tuple(math.exp((x + sign * h - offset) / 2.0) for sign in (0.0, -1.0, 1.0))
         for names, x, h in zip(fit.groups, fit.log_factors.tolist(), half_widths.tolist())
         for offset in [LIMIT * data.unknown.get(names[0], 0.0)]
     }
@@ -364,14 +371,14 @@ def _raised(
 
 
 def _quantile(drives: int, share: float = 0.975) -> float:
-    """Return a quantile of Student's t distribution for the factors of a number of drives."""
+    """Return a quantile of Student's t distribution for factors that ``drives`` drives give."""
     from scipy.special import stdtrit  # slow to import
 
     return float(stdtrit(drives - 2, share))
 
 
 def _part(data: DriveLikelihood, fit: Fit, sensor: str) -> tuple[Part, Fit]:
-    """Return the noise of a sensor that is larger in motion, and the fit with its factor."""
+    """Return which noise of a sensor gets a factor, white noise or drift or both, and the fit."""
     if f'{sensor}_slow' not in data.noise:
         return 'white', fit
     trials: dict[Part, Fit] = {}

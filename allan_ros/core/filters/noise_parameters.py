@@ -89,7 +89,7 @@ def reduce_axis(
     model = fit.model.changed(N=white.value)
     resolved_walk = model.value('K')
     reduction = reduce_model(model, states, horizon)
-    # there is no drift, or all drift is fast and was replaced by white noise
+    # the model has no drift, or all its drift is fast and was replaced by white noise
     if not model.has_drift or (states == 'walk' and not reduction.model.value('K')):
         walk = axis_level(axis, fit, 'K')
         reduction = reduce_model(model.changed(K=walk.value), states, horizon)
@@ -100,13 +100,17 @@ def reduce_axis(
         walk = FilterLevel(Estimate(k, fit.noise['K'].ci95, name='K', axis=axis))
     if raises_walk or raises_white:
         end_models = interval_models(fit) if states in ('none', 'walk') else None
-        end_reductions = [reduce_model(one, states, horizon).model for one in end_models or ()]
+        end_reductions = [
+            reduce_model(end_model, states, horizon).model for end_model in end_models or ()
+        ]
         if walk is not None and raises_walk:
             measured = resolved_walk if fit.noise['K'].status == 'estimated' else 0.0
-            walk = walk.raised(k, measured, _range(k, [one.value('K') for one in end_reductions]))
+            walk = walk.raised(
+                k, measured, _range(k, [end_model.value('K') for end_model in end_reductions])
+            )
         if raises_white:
             white = white.raised(
-                n, white.value, _range(n, [one.value('N') for one in end_reductions])
+                n, white.value, _range(n, [end_model.value('N') for end_model in end_reductions])
             )
     return reduction._replace(levels={'N': white, **({'K': walk} if walk else {})})
 
@@ -127,6 +131,7 @@ def white_variances(
     Parameters
     ----------
     axes : mapping of axis name to AxisFit
+        Fits of the axes.
     rate : float
         Sample rate f in Hz.
     inflation : float
@@ -167,7 +172,9 @@ def white_ratio(axes: Mapping[str, AxisFit], horizon: float) -> float:
     ratios = [1.0]
     for fit in axes.values():
         end_models = interval_models(fit) or (Model(),) * 2
-        low, high = (reduce_model(one, 'none', horizon).model.value('N') for one in end_models)
+        low, high = (
+            reduce_model(end_model, 'none', horizon).model.value('N') for end_model in end_models
+        )
         ratios.append(high / low if low > 0.0 else math.inf)
     return max(ratios)
 
@@ -175,7 +182,7 @@ def white_ratio(axes: Mapping[str, AxisFit], horizon: float) -> float:
 def measure_inflation(
     rest: Mapping[str, AxisFit], running: Mapping[str, AxisFit], horizon: float = HORIZON_S
 ) -> dict[str, dict[str, Check]]:
-    """Return N and K of a robot with motors on, relative to N and K with motors off.
+    """Return the ratios of N and K of a robot with motors on to N and K with motors off.
 
     N and K are the parameters of reduced-order models with white noise and a random walk.
 
@@ -189,7 +196,7 @@ def measure_inflation(
     Returns
     -------
     dict of axis name to dict of 'N' or 'K' to Check
-        The ratio is `Check.ratio`.
+        The ratios are `Check.ratio`.
 
     Raises
     ------

@@ -8,8 +8,8 @@ the error that the complete model predicts, at all horizons.
 
 Horizons
 --------
-A horizon is a time of integration without a correction. The bias is assumed to be averaged over the
-longest horizon.
+A horizon is a time of integration without a correction. It is assumed that the bias was averaged,
+before the integration, over a time of the length of the longest horizon.
 """
 
 from __future__ import annotations
@@ -101,7 +101,7 @@ class FilterLevel(NamedTuple):
         return max(low, 0.0), high
 
     def raised(self, value: float, fitted: float, ci95: tuple[float, float] | None) -> FilterLevel:
-        """Return this level, increased from the coefficient ``fitted`` to ``value``.
+        """Return this noise parameter, increased from the coefficient ``fitted`` to ``value``.
 
         ``ci95`` is the 95 % interval of the increased value; None if it is unknown.
         """
@@ -123,7 +123,10 @@ class Reduction(NamedTuple):
 
     @property
     def poor(self) -> bool:
-        """Whether a predicted error, at some horizon, is wrong by more than a factor of 2."""
+        """Whether the predicted error differs from the complete model by more than a factor of 2.
+
+        One horizon with such a difference is sufficient.
+        """
         return self.ratio[1] > POOR_RATIO or self.ratio[0] < 1.0 / POOR_RATIO
 
 
@@ -199,7 +202,8 @@ def _reduced(complete: Model, fast: int, states: States, horizon: float) -> Redu
         squared_level = _growth(drift, horizon) ** 2 / _unit_variance(BY_LETTER['N'], horizon)
         white_noise = math.sqrt(white_noise**2 + float(np.max(squared_level)))
     else:
-        if states == 'processes':  # only the ramp and sinusoids have no states
+        # with 'processes', K must cover only noise without states, such as a ramp or sinusoids
+        if states == 'processes':
             space = state_space(drift.changed(N=white_noise))
             processes = space.processes
             drift = drift.where(lambda process: not has_states(process))
@@ -207,7 +211,9 @@ def _reduced(complete: Model, fast: int, states: States, horizon: float) -> Redu
         squared_level = _growth(drift, horizon) ** 2 / _unit_variance(BY_LETTER['K'], horizon)
         walk = math.sqrt(float(np.max(squared_level)))
     model = Model.of(*processes, N=white_noise, K=walk)
-    reduced_errors, complete_errors = (_growth(one, horizon) for one in (model, complete))
+    reduced_errors, complete_errors = (
+        _growth(compared_model, horizon) for compared_model in (model, complete)
+    )
     if np.any(complete_errors > 0.0):
         ratio = reduced_errors / complete_errors
         return Reduction(model, (float(ratio.min()), float(ratio.max())), {})
@@ -268,13 +274,13 @@ def closest_process(
     if not complete.has_drift:
         return None
     white_variance = complete.value('N') ** 2 * _unit_variance(BY_LETTER['N'], horizon)
-    # the lower bound applies only if the drift is below the rounding error of the white noise
+    # the minimum applies only if the drift is below the rounding error of the white noise
     drift_variance = np.maximum(
         _growth(complete, horizon) ** 2 - white_variance, np.finfo(float).tiny
     )
     grid = np.geomspace(shortest_horizon(horizon) / 3.0, 100.0 * horizon, 60).tolist()
     model_times = [process.slowest_time for process in _by_time(complete)]
-    best, least = (0.0, 1.0), math.inf
+    best, least_error = (0.0, 1.0), math.inf
     for time in [*model_times, *grid] if tau is None else [tau]:
         unit_variance = _unit_variance(kind(time), horizon)
         variance_ratio = drift_variance / unit_variance
@@ -285,6 +291,6 @@ def closest_process(
                 (white_variance + variance * unit_variance) / (white_variance + drift_variance)
             )
             error = float(np.abs(log_ratios).max())
-            if error < least - 1e-9:
-                best, least = (math.sqrt(variance), time), error
+            if error < least_error - 1e-9:
+                best, least_error = (math.sqrt(variance), time), error
     return best

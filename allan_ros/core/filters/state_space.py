@@ -70,7 +70,7 @@ class StateSpace:
 
     @property
     def _blocks(self) -> list[tuple[float, Process, slice]]:
-        """Coefficient, process and indices of the states of the random walk and other processes."""
+        """Coefficient, process and state indices of the random walk and of each other process."""
         blocks, first = [], 1
         for value, process in ((self.walk, BY_LETTER['K']), *self.processes):
             size = len(_states(process).output)
@@ -92,9 +92,9 @@ class StateSpace:
             When the step is not positive and finite.
         """
         phi = np.eye(self.size)
-        for _, process, place in self._blocks:
+        for _, process, rows in self._blocks:
             process_phi, _ = _integrated(process, _checked(dt))
-            phi[0, place], phi[place, place] = process_phi[0, 1:], process_phi[1:, 1:]
+            phi[0, rows], phi[rows, rows] = process_phi[0, 1:], process_phi[1:, 1:]
         if self.slope:
             phi[1, -1], phi[0, -1] = dt, dt * dt / 2.0
         return phi
@@ -109,9 +109,9 @@ class StateSpace:
         """
         q = np.zeros((self.size, self.size))
         q[0, 0] = self.white**2 * _checked(dt)
-        for value, process, place in self._blocks:
+        for value, process, rows in self._blocks:
             process_noise = value**2 * _integrated(process, dt)[1]
-            indices = [0, *range(place.start, place.stop)]
+            indices = [0, *range(rows.start, rows.stop)]
             q[np.ix_(indices, indices)] += process_noise
         return q
 
@@ -123,8 +123,8 @@ class StateSpace:
         starts from 0.
         """
         p = np.zeros((self.size, self.size))
-        for value, process, place in self._blocks:
-            p[place, place] = value**2 * _states(process).initial
+        for value, process, rows in self._blocks:
+            p[rows, rows] = value**2 * _states(process).initial
         p[1, 1] = walk**2
         if self.slope:
             p[-1, -1] = slope**2
@@ -191,7 +191,7 @@ def state_space(model: Model) -> StateSpace:
     """
     n, b, k = (model.value(letter) for letter in 'NBK')
     slow_walk = b / math.sqrt(3.0 * math.pi * LONGEST_TIME_S)
-    with_states = model.where(lambda one: has_states(one) and one != BY_LETTER['K'])
+    with_states = model.where(lambda process: has_states(process) and process != BY_LETTER['K'])
     other_parts = tuple((part.value, part.process) for part in with_states.parts)
     flicker_parts = flicker_processes(b, n) if b else ()
     return StateSpace(n, math.hypot(k, slow_walk), (*flicker_parts, *other_parts))
@@ -230,11 +230,11 @@ def flicker_processes(
     shortest = min(max(crossing_s / 5.0, 0.15), SHORTEST_TIME_S)
     times = np.geomspace(shortest, LONGEST_TIME_S, BANK_SIZE)
     tau = np.geomspace(1.3 * times[0], 2.0 * times[-1], 40)
-    step = 1e-6 * shortest  # so short that the result is for continuous time
+    step = 1e-6 * shortest  # so short that the processes equal processes in continuous time
     processes = bank(BY_LETTER['B'], (times / step).tolist(), tau / step)
     return tuple(
-        (bias_instability * math.sqrt(variance), one.in_unit(1.0 / step))
-        for variance, one in processes
+        (bias_instability * math.sqrt(variance), process.in_unit(1.0 / step))
+        for variance, process in processes
     )
 
 
