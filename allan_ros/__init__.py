@@ -61,8 +61,8 @@ def keep_to_one_thread() -> None:
     """Limit the linear algebra of numpy to one thread.
 
     This function must be called before numpy is imported. The matrices of a fit have about a
-    hundred rows: more threads do not make the fit faster, and their busy-waiting triples the CPU
-    time. Environment variables that are already set are not changed.
+    hundred rows: more threads do not make the fit faster, and their busy waiting triples the CPU
+    time. The limits are environment variables; those that are already set are not changed.
     """
     for library in ('OPENBLAS', 'OMP', 'MKL'):
         os.environ.setdefault(f'{library}_NUM_THREADS', '1')

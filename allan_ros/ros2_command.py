@@ -23,7 +23,7 @@ NODE_VERBS = {
     'watch': 'show /diagnostics of running nodes as a live table',
     'check': 'without a file: state of the nodes; exit code 0 ok, 3 warning, 4 error, 1 no node',
 }
-"""Verb for running nodes -> help text."""
+"""Verb that shows running nodes -> help text."""
 
 WITH_VALUE = ('--node', '--seconds', '--web')
 """Options of the verbs in `NODE_VERBS` that are followed by a value."""
@@ -66,10 +66,10 @@ class AllanCommand(Base):  # type: ignore[misc]
 
 
 def _is_for_files(verb: str, words: list[str]) -> bool:
-    """Return whether `allan` has this verb, and the arguments contain a file or ``--help``."""
+    """Return whether `allan` has this verb, and ``words`` contain a file or ``--help``."""
     from .cli.main import VERBS
 
     file_names = [
-        w for last, w in zip(['', *words], words) if w[:1] != '-' and last not in WITH_VALUE
+        w for previous, w in zip(['', *words], words) if w[:1] != '-' and previous not in WITH_VALUE
     ]
     return verb in VERBS and bool(file_names or {'-h', '--help'} & {*words})

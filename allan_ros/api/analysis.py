@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""`analyze` and `load` return `Results` from recordings, samples or files of earlier analyses."""
+"""`analyze` returns the results of recordings or samples; `load` reads results from files."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def results_of(
     observer: Observer = Silent(),
     segmenter: SegmenterSettings = SegmenterSettings(),
 ) -> PlainResults:
-    """Load results from a JSON file or the folder of an analysis, or analyze a recording.
+    """Return results: from a JSON file, from the folder of an analysis, or of a recording.
 
     Parameters
     ----------
@@ -87,7 +87,7 @@ def results_of(
     observer : Observer
         Shows the progress of reading a recording.
     segmenter : SegmenterSettings
-        Settings for selecting the data at rest of a recording.
+        Settings that select the data at rest of a recording.
 
     Raises
     ------
@@ -113,7 +113,7 @@ def is_document(path: str | os.PathLike[str]) -> bool:
 
 
 @public
-@one_thread()  # not only the fit, but also Allan sums and spectra are computed in one thread
+@one_thread()  # Allan sums and spectra are computed in one thread, too, not only the fit
 def analyze(
     source: Any,
     *,
@@ -137,10 +137,10 @@ def analyze(
     Parameters
     ----------
     source : path, Results, sequence of these, array, DataFrame, mapping of columns, or ImuBatch
-        Several paths or results must be of the same IMU, and give one common result. A path may
-        also be an earlier analysis with its Allan sums: a folder, a sums.json, or a checkpoint.
-        These Allan sums are added and fitted without reading their recordings again. Arrays are
-        (n,) or (n, axes), with one row per sample.
+        Several paths or results must belong to the same IMU, and give one common result. A path may
+        also be an earlier analysis with its Allan sums: a folder, a sums.json, or a checkpoint. The
+        Allan sums are then added and fitted, and the recordings are not read again. Arrays are (n,)
+        or (n, axes), with one row per sample.
     rate : float
         Sample rate in Hz. It is required for samples without stamps. The rate of a recording is
         only compared with this number; 0 disables this check.
@@ -201,7 +201,7 @@ def analyze(
     """
     units = {'gyro_unit': gyro_unit, 'accel_unit': accel_unit}
     reading, segmenter = read_settings({**options, **units}, rate)
-    ResultSettings(method=method, margin=margin)  # raises an error before recordings are read
+    ResultSettings(method=method, margin=margin)  # checks the values before recordings are read
     expect(str, hardware_id=hardware_id)
     expect(Integral, processes=processes)
     expect((PlainResults, *PATH), 'results or a path', noise=noise)
@@ -237,22 +237,22 @@ def analyze(
 
 
 def read_settings(options: Mapping[str, Any], rate: float) -> tuple[ReadOptions, SegmenterSettings]:
-    """Divide options into settings for reading, and settings for selecting the data at rest.
+    """Return the settings for reading, and for selecting the data at rest, that options contain.
 
-    Both settings contain the sample ``rate`` in Hz, 0 if it is not stated. Raises AllanError if an
+    Both settings contain the sample ``rate`` in Hz, which is 0 if unknown. Raises AllanError if an
     option is unknown or invalid.
     """
     check_rate(rate)
-    of_reading = [name for name in describe(ReadOptions) if name != 'rate_hz']
-    of_segmenter = [name for name in describe(SegmenterSettings) if name != 'declared_rate']
-    check_names(options, [*of_segmenter, *of_reading])
-    reading = {name: options[name] for name in of_reading if name in options}
-    segmenter = {name: options[name] for name in of_segmenter if name in options}
+    reading_names = [name for name in describe(ReadOptions) if name != 'rate_hz']
+    segmenter_names = [name for name in describe(SegmenterSettings) if name != 'declared_rate']
+    check_names(options, [*segmenter_names, *reading_names])
+    reading = {name: options[name] for name in reading_names if name in options}
+    segmenter = {name: options[name] for name in segmenter_names if name in options}
     return ReadOptions(rate_hz=rate, **reading), SegmenterSettings(declared_rate=rate, **segmenter)
 
 
 def _stored(source: PlainResults | str | os.PathLike[str]) -> RecordingSums:
-    """Return the Allan sums of results, or of an earlier analysis at a path."""
+    """Return the Allan sums of results, or of the earlier analysis at a path."""
     if not isinstance(source, PlainResults):
         return load_sums(source)
     if source.recorded is None:

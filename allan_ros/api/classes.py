@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The public classes of results, which add texts, export, plots and files to the plain data.
 
-The modules that make an output are imported when this output is requested, because most analyses
-make few kinds of output.
+The module for an output is imported only when the output is requested, because most analyses need
+few outputs.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ R = TypeVar('R', bound=PlainResults)
 
 
 def public(function: Callable[P, T]) -> Callable[P, T]:
-    """Decorate a public function so that it raises AllanErrors with cause and remedy.
+    """Return the function, decorated so that its AllanErrors state cause and remedy.
 
     Errors of the operating system become AllanErrors, too.
     """
@@ -89,7 +89,7 @@ class Results(PlainResults):
 
     @classmethod
     def of(cls, results: PlainResults) -> Results:
-        """Return plain results as an object of this class.
+        """Return plain results (the data without methods for output) as an object of this class.
 
         >>> import allan_ros as ar
         >>> results = ar.analyze(ar.simulate(hours=0.1, rate=50))
@@ -99,7 +99,7 @@ class Results(PlainResults):
         return cls(**{each.name: getattr(results, each.name) for each in fields(results)})
 
     def _repr_html_(self) -> str:
-        """Return the verdict and the coefficients for the output of a notebook cell."""
+        """Return the verdict and the coefficients as HTML for the output of a notebook cell."""
         from ..view.notebook import notebook_html
 
         return notebook_html(self)

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""`compare`, `common` and `inflate`, which compare several recordings with each other."""
+"""The public functions that compare several recordings: `compare`, `common` and `inflate`."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class CommonResult(PlainCommonResult):
         return '\n'.join(common_lines(self))
 
     def plot(self) -> Any:
-        """Draw the coherence over the averaging time, and return the matplotlib Figure."""
+        """Draw the coherence against the averaging time, and return the matplotlib Figure."""
         from ..view.plots import common_figure
 
         return common_figure(self)
@@ -89,8 +89,8 @@ def compare(
         A coefficient exceeds the limit of a datasheet if its complete 95 % interval lies above
         limit * (1 + margin).
     within : float
-        Fraction by which coefficients may differ and are still regarded as the same. Whether they
-        are the same is tested only if this fraction is not 0.
+        Fraction by which coefficients may differ and still be regarded as equal. Equality is tested
+        only if this fraction is not 0.
     method : str
         Method of the fit of Allan sums and recordings, as in `analyze`; results are not fitted
         again.
@@ -103,7 +103,7 @@ def compare(
         ``differences`` are the comparisons of each recording with the first recording, and
         ``checked`` are the results compared with the datasheets. ``differs`` states whether any
         difference is significant or any limit is exceeded. If ``within`` is given, ``equivalent``
-        states whether the coefficients are the same up to this fraction.
+        states whether the coefficients are equal up to this fraction.
 
     Raises
     ------
@@ -118,7 +118,7 @@ def compare(
     >>> ar.compare(quiet, noisy).differs
     True
     """
-    ResultSettings(method=method, margin=margin)  # raises an error before recordings are read
+    ResultSettings(method=method, margin=margin)  # checks the values before recordings are read
     check_range(0.0, 10.0, within=within)
     expect((*PATH, *LIST), 'a datasheet or a list of datasheets', sensor=sensor)
     sensors = [sensor] if isinstance(sensor, PATH) else sensor
@@ -184,8 +184,8 @@ def common(*sources: Any, rate: float = 0.0, **options: Any) -> CommonResult:
     from ..readers.arrays import recording_in_memory
 
     reading, settings = read_settings(options, rate)
-    places = [Path(source).resolve() for source in sources if isinstance(source, PATH)]
-    if len({*places}) < len(places):
+    absolute_paths = [Path(source).resolve() for source in sources if isinstance(source, PATH)]
+    if len({*absolute_paths}) < len(absolute_paths):
         raise AllanError('a recording is given twice: give one recording of each IMU')
     recordings: dict[str, Recording] = {}
     paths = [str(s) if isinstance(s, PATH) else chr(ord('A') + i) for i, s in enumerate(sources)]
@@ -199,8 +199,8 @@ def common(*sources: Any, rate: float = 0.0, **options: Any) -> CommonResult:
             recordings[name] = ReadJob(path, replace(reading, topic=topic)).open()
     if not recordings:
         raise AllanError('no recording is given: give one recording of each IMU')
-    found = common_of(recordings, settings)
-    return CommonResult(found.rows, found.findings)
+    plain_result = common_of(recordings, settings)
+    return CommonResult(plain_result.rows, plain_result.findings)
 
 
 @public
@@ -233,9 +233,9 @@ def inflate(
     -------
     Inflation
         ``axes`` contains N and K of each axis with motors off and on, and their ratio, such as
-        ``axes['gyro_x']['N'].factor``. ``factor`` is the largest of the factors for N of all axes.
-        ``option`` states the largest factor for N of each sensor, as `allan export --inflate`
-        accepts it.
+        ``axes['gyro_x']['N'].factor``. ``factor`` is the largest factor for N of all axes.
+        ``option`` is the largest factor for N of each sensor, as a value for
+        `allan export --inflate`.
 
     Raises
     ------

@@ -121,7 +121,7 @@ def recordings_in(path: str, files_are_units: bool = False) -> list[str]:
 
     A folder is one recording if it has a metadata.yaml, or contains only one bag or its numbered
     parts. With ``files_are_units``, numbered files without metadata.yaml are separate recordings.
-    For a folder without recordings, the paths of the folders of analyses in it are returned.
+    If a folder contains only folders of analyses, the paths of all these folders are returned.
     """
     folder = Path(path)
     if not folder.is_dir() or (folder / METADATA).exists() or is_document(folder):
@@ -137,7 +137,7 @@ def recordings_in(path: str, files_are_units: bool = False) -> list[str]:
 
 
 def _is_one_bag(files: Sequence[Path], files_are_units: bool) -> bool:
-    """Return whether the files are one bag without metadata.yaml, or there are no files."""
+    """Return whether the files are the parts of one bag without metadata.yaml, or no files."""
     if not all(file.suffix in STORAGES for file in files):
         return False
     if files_are_units or len(files) < 2:
@@ -210,16 +210,17 @@ def run(args: argparse.Namespace) -> int:
 
 
 def are_two_sensors(jobs: Sequence[ReadJob]) -> bool:
-    """Return whether the jobs read two tables, one of a gyro and one of an accelerometer.
+    """Return whether the jobs read two tables: one of a gyro, and one of an accelerometer.
 
-    Phone apps write such tables.
+    Phone apps write such pairs of tables.
     """
     suffixes = FORMATS['table'].suffixes
     if len(jobs) != 2 or not all(Path(job.path).suffix.lower() in suffixes for job in jobs):
         return False
     sensors = []
     for job in jobs:
-        with suppress(AllanError):  # the error is reported when the samples are read
+        # if the table cannot be opened, the error is reported when its samples are read
+        with suppress(AllanError):
             recording = job.open()
             sensors.append({sensor_of(axis) for axis in recording.axes})
             recording.close()
@@ -227,7 +228,7 @@ def are_two_sensors(jobs: Sequence[ReadJob]) -> bool:
 
 
 def _check_references(settings: ResultSettings) -> None:
-    """Raise AllanError if the datasheet or an earlier run cannot be read."""
+    """Raise AllanError if the datasheet or an earlier run in the settings cannot be read."""
     if settings.sensor:
         load_sensor(settings.sensor)
     for path in filter(None, (settings.baseline, settings.noise)):
@@ -258,8 +259,8 @@ def show_results(recorded: RecordingSums, args: argparse.Namespace) -> int:
         if written_text:
             print(f'\n{written_text}')
     if missing_targets:
-        why = next(f for f in results.findings if f.id == 'file_left_out')
-        print(f'allan analyze: {why}', file=sys.stderr)
+        finding = next(f for f in results.findings if f.id == 'file_left_out')
+        print(f'allan analyze: {finding}', file=sys.stderr)
     return exit_code_of(results, args.fail_on) or (EXIT_ERROR if missing_targets else 0)
 
 
@@ -269,7 +270,7 @@ def _read_all(
     """Yield the Allan sums of each recording.
 
     The recordings are read in this process, in several processes, or on a cluster. If workers
-    crashed when they read a recording, a finding is yielded instead of its Allan sums.
+    crashed while they read a recording, a finding is yielded instead of the Allan sums.
     """
     if args.scheduler and jobs:
         for recorded in on_cluster(jobs, args.scheduler, console):
@@ -284,7 +285,7 @@ def _read_all(
 
 
 def check(args: argparse.Namespace) -> int:
-    """Print the verdict on each unit (IMU); return the exit code of the worst unit."""
+    """Print the verdict on each unit (one IMU), and return the exit code of the worst unit."""
     _check_references(settings_of(ResultSettings, args))
     if args.plan:
         load_plan(args.plan)
@@ -303,7 +304,7 @@ def check(args: argparse.Namespace) -> int:
         )
     jobs = [read_jobs(paths, args, bool(args.output)) for paths in units.values()]
     short_names = names_of([unit_jobs[0] for unit_jobs in jobs])
-    unread_outcomes = [one for given in args.inputs for one in unread_units(given)]
+    unread_outcomes = [outcome for given in args.inputs for outcome in unread_units(given)]
     return run_check(
         [BatchItem(*unit) for unit in zip(units, jobs, short_names)], args, unread_outcomes
     )

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Decide about units (IMUs), print a line for each unit, and write a summary of all units."""
+"""Judge a batch of units (IMUs): print a line for each unit, and write a summary of all units."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ MAX_SUMMARY = 100_000_000
 """Largest number of bytes that are read from a summary."""
 
 MOST_NAMED = 10
-"""Largest number of names of units that the line with the totals contains for each verdict."""
+"""Largest number of units that the line with the totals names for each verdict."""
 
 
 @dataclass(frozen=True)
@@ -55,8 +55,8 @@ class Judged:
     decision: Decision
     word: str  # first word of the printed line: the decision, or the level of the verdict
     sentences: Sequence[str]  # reasons of the decision
-    check: UnitCheck | None = None  # None without results
-    note: str = ''  # text if the unit repeats an earlier unit, else ''
+    check: UnitCheck | None = None  # None if the unit has no results
+    note: str = ''  # which earlier unit has the same samples or serial number; '' if none
 
     @property
     def name(self) -> str:
@@ -70,12 +70,12 @@ class Judged:
 
     @property
     def reason(self) -> str:
-        """The note and the sentences as one line."""
+        """The note and the reasons of the decision as one line."""
         return one_line(' '.join(filter(None, (self.note, *self.sentences))))
 
 
 class Judge:
-    """Decides about the units of a batch, and finds units that occur twice.
+    """Judges the units of a batch, and finds units that occur twice.
 
     Parameters
     ----------
@@ -90,7 +90,8 @@ class Judge:
 
     def __init__(self, args: argparse.Namespace, plan: Plan | None, decides: bool) -> None:
         self._args, self._plan, self._decides = args, plan, decides
-        self._known: dict[object, str] = {}  # samples or serial number -> name of the unit
+        # samples or serial number -> name of the first unit that has them
+        self._known: dict[object, str] = {}
 
     def judged(self, outcome: Outcome) -> Judged:
         """Return the decision about the next unit."""
@@ -112,9 +113,9 @@ class Judge:
         return Judged(outcome, decision, word, sentences, check, note)
 
     def _note(self, name: str, results: Results) -> str:
-        """Return a text if an earlier unit has the same samples or serial number, else ''.
+        """Return which earlier unit has the same samples or serial number, as text; '' if none.
 
-        The samples count as the same if their number and all coefficients are equal. They are not
+        Samples count as the same if their number and all coefficients are equal. Samples are not
         compared if no coefficient has a value.
         """
         values = [c.value for axis in results.axes.values() for c in axis.fit.noise.values()]
@@ -128,8 +129,8 @@ class Judge:
 def run_batch(jobs: Sequence[ReadJob], args: argparse.Namespace) -> int:
     """Analyze each recording, write its files, and print one line for each recording.
 
-    Also writes a summary of all recordings, if the command line states a folder. Returns the worst
-    exit code of the recordings.
+    If the command line states a folder for the output, a summary of all recordings is written, too.
+    Returns the worst exit code of the recordings.
     """
     console, codes, units = Console.of(args), [], []
     judge = Judge(args, None, decides=False)
@@ -146,14 +147,14 @@ def run_batch(jobs: Sequence[ReadJob], args: argparse.Namespace) -> int:
             console.line(_batch_document(outcome, args.units))
         elif not (console.quiet and args.output):
             _print_unit(judged, args)
-    for elsewhere in [f for f in findings if f.id == 'sensor_elsewhere'][:1]:
-        console.say(finding_line(elsewhere))
+    for finding in [f for f in findings if f.id == 'sensor_elsewhere'][:1]:
+        console.say(finding_line(finding))
     _write_summary(units, codes, args, '')
     return int(worst(codes))
 
 
 def unread_units(folder: str) -> list[Outcome]:
-    """Return the units that could not be read when the summary in a folder was written.
+    """Return the units that could not be read, according to the summary in a folder.
 
     The list is empty if the folder has no summary.
     """
@@ -188,7 +189,7 @@ def run_check(
     args : Namespace
         Arguments of the command line.
     unread : sequence of Outcome
-        Units whose recordings could not be read when the checked folder of results was written.
+        Units that could not be read when the folder with the results of all units was written.
 
     Raises
     ------
@@ -202,46 +203,48 @@ def run_check(
     number = len(units) + len(unread)
     _make_output(args)
     for outcome in chain(outcomes_of(units, args), unread):
-        judged_units.append(one := judge.judged(outcome))
-        unchecked |= dict.fromkeys(one.check.unchecked if one.check else ())
+        judged_units.append(judged := judge.judged(outcome))
+        unchecked |= dict.fromkeys(judged.check.unchecked if judged.check else ())
         if console.json:
-            console.line(_check_document(one))
+            console.line(_check_document(judged))
         elif outcome.results is None and number == 1 and outcome.code == EXIT_ERROR:
             raise AllanError(outcome.error)
         elif not console.quiet:
-            _print_unit(one, args)
-            for sentence in one.sentences if console.verbose else ():
+            _print_unit(judged, args)
+            for sentence in judged.sentences if console.verbose else ():
                 print(f'  {sentence}')
-    code = worst([one.decision for one in judged_units])
+    code = worst([judged.decision for judged in judged_units])
     names_by_word: dict[str, list[str]] = {}
-    for one in judged_units:
-        names_by_word.setdefault(one.word, []).append(Path(one.name).name)
+    for judged in judged_units:
+        names_by_word.setdefault(judged.word, []).append(Path(judged.name).name)
     if number > 1 and console.json:
         totals = {word: len(named) for word, named in names_by_word.items()}
         console.line({'units': number, 'totals': totals, 'exit_code': int(code)})
     elif not console.json and not console.quiet:
         if number > 1:
             texts = [
-                _total(*each) for each in sorted(names_by_word.items(), key=lambda e: -len(e[1]))
+                _total(*word_and_names)
+                for word_and_names in sorted(names_by_word.items(), key=lambda e: -len(e[1]))
             ]
             print(f'{number} units: {", ".join(texts)}')
         if unchecked:
             print(unchecked_text([*unchecked]))
     _write_summary(
-        judged_units, [one.decision for one in judged_units], args, plan.name if plan else ''
+        judged_units, [judged.decision for judged in judged_units], args, plan.name if plan else ''
     )
     return int(code)
 
 
 def _total(word: str, names: Sequence[str]) -> str:
-    """Return a text with the number of the units that have a verdict, and the names of the units.
+    """Return the number and the names of the units with a verdict as text.
 
-    ``word`` is the word for the verdict. Names of healthy units are omitted.
+    ``word`` is the word for the verdict, and ``names`` are the names of all units with this
+    verdict. Healthy units are counted, but not named.
     """
     if word == DECISION_WORDS[Decision.WITHIN]:
         return f'{len(names)} {word}'
-    more = f' and {len(names) - MOST_NAMED} more' if len(names) > MOST_NAMED else ''
-    return one_line(f'{len(names)} {word} ({", ".join(names[:MOST_NAMED])}{more})')
+    more_text = f' and {len(names) - MOST_NAMED} more' if len(names) > MOST_NAMED else ''
+    return one_line(f'{len(names)} {word} ({", ".join(names[:MOST_NAMED])}{more_text})')
 
 
 def _print_unit(unit: Judged, args: argparse.Namespace) -> None:
@@ -259,7 +262,7 @@ def _print_unit(unit: Judged, args: argparse.Namespace) -> None:
 
 
 def _noise_texts(results: Results, units: str) -> Iterator[str]:
-    """Yield a text with N of each axis, for each sensor."""
+    """Yield a text for each sensor: N of its axes."""
     for sensor in SENSORS:
         unit = shown_unit(sensor, 'N', units)
         noise = [a.fit.noise for axis, a in results.axes.items() if sensor_of(axis) == sensor]
@@ -268,7 +271,7 @@ def _noise_texts(results: Results, units: str) -> Iterator[str]:
 
 
 def _make_output(args: argparse.Namespace) -> None:
-    """Create the folder for the files, if the command line states a folder."""
+    """Create the folder for the output, if the command line states one."""
     if args.output:
         from ..view.result_files import made_folder
 
@@ -278,45 +281,48 @@ def _make_output(args: argparse.Namespace) -> None:
 def _write_summary(
     units: Sequence[Judged], codes: Sequence[Decision], args: argparse.Namespace, plan: str
 ) -> None:
-    """Write the summary of all units and their exit codes, if the command line states a folder."""
+    """Write the summary of all units to the folder for the output, if there is such a folder.
+
+    ``codes`` are the exit codes of the units, and ``plan`` is the name of the test plan or ''.
+    """
     if not args.output:
         return
     from ..view.batch_files import UnitRow, index_html, summary_csv
     from ..view.result_files import REPORT
 
     rows = []
-    for one, code in zip(units, codes):
-        results = one.outcome.results
-        report = f'{one.outcome.unit.folder}/{REPORT}' if results else ''
-        name, details = one_line(one.name), (one.check, report, int(code))
-        rows.append(UnitRow(name, one.serial, one.word, one.reason, results, *details))
+    for judged, code in zip(units, codes):
+        results = judged.outcome.results
+        report = f'{judged.outcome.unit.folder}/{REPORT}' if results else ''
+        name, details = one_line(judged.name), (judged.check, report, int(code))
+        rows.append(UnitRow(name, judged.serial, judged.word, judged.reason, results, *details))
     folder = Path(args.output)
     write_atomic(folder / SUMMARY, summary_csv(rows, args.units))
     write_atomic(folder / INDEX, index_html(rows, plan))
     Console.of(args).say(f'written to {args.output}: one folder for each unit, {SUMMARY}, {INDEX}')
 
 
-def _check_document(one: Judged) -> dict[str, Any]:
+def _check_document(judged: Judged) -> dict[str, Any]:
     """Return the decision about one unit, its coefficients and its limits as a JSON object."""
-    unit, results = one.outcome.unit, one.outcome.results
+    unit, results = judged.outcome.unit, judged.outcome.results
     document: dict[str, Any] = {
         'schema': CHECK_SCHEMA,
         'name': unit.name,
         'path': unit.path,
-        'serial': one.serial,
-        'exit_code': int(one.decision),
+        'serial': judged.serial,
+        'exit_code': int(judged.decision),
         'level': 'error',
-        'summary': one_line(one.sentences[0]),
+        'summary': one_line(judged.sentences[0]),
     }
-    if results is None or one.check is None:
+    if results is None or judged.check is None:
         return document
     levels = {Decision.EXCEEDS: 'failed', Decision.NOT_JUDGED: 'unknown'}
     units = {sensor: SI_UNITS[sensor] for sensor in SENSORS}
     return document | {
-        'level': levels.get(one.decision, results.level),
-        'reasons': [one_line(text) for text in one.sentences],
+        'level': levels.get(judged.decision, results.level),
+        'reasons': [one_line(text) for text in judged.sentences],
         'next_steps': list(verdict_of(results).next_steps),
-        'note': one.note,
+        'note': judged.note,
         'hours': results.duration_s / 3600.0,
         'rate_hz': results.rate_hz,
         'axes': {
@@ -331,16 +337,16 @@ def _check_document(one: Judged) -> dict[str, Any]:
         },
         'limits': [
             _limit_document(check, plan.limits_of(check))
-            for plan in (one.check.plan,)
+            for plan in (judged.check.plan,)
             if plan is not None
-            for check in one.check.checks
+            for check in judged.check.checks
         ],
-        'unchecked': list(one.check.unchecked),
+        'unchecked': list(judged.check.unchecked),
     }
 
 
 def _limit_document(check: Check, limits: Limits) -> dict[str, Any]:
-    """Return a quantity, its limits and its verdict as a JSON object, in the unit of the plan."""
+    """Return a quantity, its limits and the verdict as a JSON object, in the unit of the plan."""
     measured = check.measured.times(1.0 / limits.scale)
     lower, upper = (
         None if end is None else end / limits.scale for end in (limits.lower, limits.upper)
@@ -362,5 +368,5 @@ def _batch_document(outcome: Outcome, units: str) -> dict[str, object]:
         return {'path': outcome.unit.path, 'name': outcome.unit.name, 'error': outcome.error}
     verdict = plain(verdict_of(outcome.results, units))
     results = result_document(outcome.results, units, curves=False)
-    named = {'path': outcome.unit.path, 'name': outcome.unit.name}
-    return {**named, 'verdict': verdict, 'results': results}
+    path_and_name = {'path': outcome.unit.path, 'name': outcome.unit.name}
+    return {**path_and_name, 'verdict': verdict, 'results': results}

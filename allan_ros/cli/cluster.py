@@ -21,7 +21,7 @@ def on_cluster(
     console: Console,
     work: Callable[[ReadJob], RecordingSums] = read_recording,
 ) -> Iterator[RecordingSums | Finding | Exception]:
-    """Run ``work`` for each job on a Dask cluster, and yield its result or its error.
+    """Run ``work`` for each job on a Dask cluster, and yield the results or errors.
 
     The workers need this package, and the recordings at the same paths. If a worker crashes, other
     workers repeat the jobs of that worker. A job fails if it crashes several workers
@@ -76,7 +76,7 @@ def on_cluster(
             except KilledWorker:
                 yield finding('recording_lost', path=job.path)
                 continue
-            except Exception as error:  # one recording does not end the others
+            except Exception as error:  # an error in one recording must not end the other jobs
                 yield error
                 continue
             progress.advance(recorded.provenance.counts.received)

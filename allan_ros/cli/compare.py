@@ -63,7 +63,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _show(console: Console, text: str, document: Mapping[str, Any]) -> None:
-    """Print the document if --json is given, else the text."""
+    """Print the JSON document if ``--json`` is given, else the text."""
     if console.json:
         console.document(document)
     else:
@@ -71,7 +71,7 @@ def _show(console: Console, text: str, document: Mapping[str, Any]) -> None:
 
 
 def _common(args: argparse.Namespace, console: Console) -> int:
-    """Print the noise that the IMUs have in common; return the exit code."""
+    """Print the noise that several IMUs have in common; return the exit code."""
     default = ResultSettings()
     has_test = args.within or args.fail_on_difference or args.margin != default.margin
     if has_test or args.method != default.method:

@@ -41,8 +41,8 @@ class Progress:
     def __init__(self, label: str, total: int | None, shown: bool = True) -> None:
         self._bar = _bar(total) if shown and sys.stderr.isatty() else None
         if self._bar is not None:
-            short = label if len(label) <= LABEL else f'...{label[3 - LABEL :]}'
-            self._task = self._bar.add_task(short, total=total or 0)
+            shown_label = label if len(label) <= LABEL else f'...{label[3 - LABEL :]}'
+            self._task = self._bar.add_task(shown_label, total=total or 0)
 
     def __enter__(self) -> Progress:
         if self._bar is not None:
@@ -54,15 +54,15 @@ class Progress:
             self._bar.stop()
 
     def advance(self, done: int) -> None:
-        """Add a number of processed samples or recordings."""
+        """Advance the bar by a number of processed samples or recordings."""
         if self._bar is not None:
             self._bar.advance(self._task, done)
 
 
 def _bar(total: int | None) -> Any:
-    """Return a progress bar of the package rich, which is erased at the end.
+    """Return a progress bar of the package rich, or None if rich is not installed.
 
-    Returns None if rich is not installed.
+    The bar is erased from the terminal at the end.
     """
     try:
         from rich.console import Console as Terminal
@@ -78,8 +78,7 @@ def _bar(total: int | None) -> Any:
 
 
 NARROWEST = 40
-"""Smallest width in columns to which text is wrapped. A terminal that is narrower wraps the lines
-again."""
+"""Smallest width in columns to which text is wrapped. Narrower terminals break the lines again."""
 
 SEVERITY_COLORS = {'info': '36', 'warning': '33', 'error': '31'}
 """Severity of a finding -> ANSI color (ECMA-48): cyan, yellow, red."""
@@ -160,7 +159,7 @@ def colored(stream: TextIO) -> bool:
 
 
 def painted(line: str, word: str, color: str, colors: bool) -> str:
-    """Return a line in which the first occurrence of a word has a color.
+    """Return a line of text in which the first occurrence of a word is colored.
 
     Parameters
     ----------
@@ -180,8 +179,8 @@ def wrapped(text: str, columns: int, indent: str = '') -> list[str]:
     All lines but the first begin with ``indent``. If ``columns`` is less than `NARROWEST`, the
     lines have up to `NARROWEST` - 1 characters.
     """
-    room = max(columns, NARROWEST) - 1
-    return textwrap.wrap(text, room, subsequent_indent=indent, break_on_hyphens=False)
+    line_width = max(columns, NARROWEST) - 1
+    return textwrap.wrap(text, line_width, subsequent_indent=indent, break_on_hyphens=False)
 
 
 def fault_text(error: Exception) -> str:

@@ -96,14 +96,14 @@ SEEN = {
     'secondary': 'not read, but quoted by',
     '': '',
 }
-"""`Source.seen` -> text before the name of the document in which the figures were read."""
+"""`Source.seen` -> text that precedes the name of the document from which figures were read."""
 
 HEADERS = ('name', 'gyro N deg/sqrt(h)', 'gyro B deg/h', 'accel N ug/sqrt(Hz)', 'accel B ug')
 """Column headers of the list of datasheets: 'name', then sensor, term and unit of each limit."""
 
 
 def sensors(args: argparse.Namespace) -> int:
-    """Print a datasheet, the list of datasheets, a test plan, or an entry for a datasheet file."""
+    """Print a datasheet, a list of datasheets, a test plan, or an entry for a datasheet file."""
     console = Console.of(args)
     if source := vars(args)['from']:
         from ..results.documents import load
@@ -135,8 +135,8 @@ def sensors(args: argparse.Namespace) -> int:
 def list_lines(sheets: Mapping[str, Datasheet], columns: int) -> Iterator[str]:
     """Yield the lines of a table of datasheets with the largest limits of N and B of each sensor.
 
-    ``sheets`` maps names to datasheets. ``columns`` is the width of the text; table columns that
-    do not fit are omitted.
+    ``sheets`` maps names to datasheets. ``columns`` is the width of the text in characters; table
+    columns that do not fit are omitted.
     """
     rows = [list(HEADERS)]
     for name, sheet in sheets.items():

@@ -28,7 +28,7 @@ HELP_COLUMN = 26
 
 
 class Verb(NamedTuple):
-    """The place where the command of a verb is defined, and its line in the list of verbs."""
+    """Where the `Command` of a verb is defined, and the line of the verb in the list of verbs."""
 
     module: str  # name of the module in this package
     command: str  # name of the `Command` in the module
@@ -62,7 +62,7 @@ VERBS = {
     ),
     'simulate': Verb('simulate', 'SIMULATE', 'write a recording of an IMU with known noise'),
 }
-"""Name of a verb -> the place of its command, and its line in the list of verbs."""
+"""Name of a verb -> where its `Command` is defined, and its line in the list of verbs."""
 
 DESCRIPTION = """
 Measure the noise of an IMU by its Allan variance.
@@ -84,20 +84,20 @@ EXITS = {
     EXIT_FAULT: 'a bug in allan: please report the line',
     EXIT_INTERRUPTED: 'interrupted: incomplete files are removed',
 }
-"""Exit code -> its meaning, for the help."""
+"""Exit code -> meaning of the code, for the help."""
 
 
 class AllanParser(argparse.ArgumentParser):
-    """An argparse parser that prints an error in two lines: the usage, and the error."""
+    """An argparse parser that prints a usage error in two lines: the usage, and the error."""
 
     def __init__(self, **given: Any) -> None:
         given.setdefault('formatter_class', HelpFormatter)
         super().__init__(**given)
 
     def shorten_usage(self) -> None:
-        """Show only '[options]' and the arguments in the usage.
+        """Shorten the usage text to '[options]' and the positional arguments.
 
-        This method must be called after all options have been added.
+        This method must be called after all arguments have been added.
         """
         forms: dict[Any, str] = {'+': '{0} [{0} ...]', '?': '[{0}]'}
         arguments = (
@@ -125,7 +125,7 @@ class AllanParser(argparse.ArgumentParser):
 
 
 class HelpFormatter(argparse.HelpFormatter):
-    """Wraps the paragraphs of a description, but not its indented lines."""
+    """Help formatter that wraps the paragraphs of a description, but not its indented lines."""
 
     def __init__(self, prog: str, **given: Any) -> None:
         super().__init__(prog, **{**given, 'max_help_position': HELP_COLUMN})
@@ -140,7 +140,7 @@ class HelpFormatter(argparse.HelpFormatter):
 def build_parser(verb: str = '') -> AllanParser:
     """Return the parser of the command line with the options of one verb.
 
-    Other verbs have no options, because declaring them would import numpy.
+    The options of other verbs are not declared, because declaring them would import numpy.
     """
     parser = AllanParser(
         prog='allan',
@@ -163,13 +163,13 @@ def build_parser(verb: str = '') -> AllanParser:
         help='show the version and exit',
     )
     for name, entry in VERBS.items():
-        sub = verbs.add_parser(name, help=entry.help)
+        verb_parser = verbs.add_parser(name, help=entry.help)
         if name == verb:
             command = command_of(name)
-            sub.description = command.description
-            sub.epilog = _exits_text({**EXITS, **command.exits})
-            declare(sub, (*command.options, *COMMON_OPTIONS))
-            sub.shorten_usage()
+            verb_parser.description = command.description
+            verb_parser.epilog = _exits_text({**EXITS, **command.exits})
+            declare(verb_parser, (*command.options, *COMMON_OPTIONS))
+            verb_parser.shorten_usage()
     return parser
 
 
@@ -202,13 +202,13 @@ def main(argv: Sequence[str] | None = None) -> int:
         return _print_error(f'{name}: {explained(error)}', EXIT_ERROR)
     except KeyboardInterrupt:
         if argv is None and hasattr(signal, 'pthread_sigmask'):  # not on Windows
-            # After an interrupt within an import, Python sends itself the signal at exit. Python
-            # returns the exit code only if this signal is blocked.
+            # If an import was interrupted, Python sends SIGINT to itself at exit, and returns the
+            # exit code only if SIGINT is blocked.
             signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         return _print_error(f'\n{name}: interrupted, nothing more is written', EXIT_INTERRUPTED)
     except BrokenPipeError:
-        # The reader, such as head or less, has closed the pipe. Later output is discarded, so that
-        # writing at exit does not fail, too.
+        # The program that reads the output, such as head or less, has closed the pipe. Further
+        # output is discarded, so that the flush at exit does not fail.
         for stream in (sys.stdout, sys.stderr):
             with contextlib.suppress(OSError, ValueError):
                 os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
@@ -243,7 +243,7 @@ def _run(words: Sequence[str]) -> int:
     try:
         args = parser.parse_args(words)
     except SystemExit:
-        sys.stdout.flush()  # a closed pipe raises its exception here, so that `main` catches it
+        sys.stdout.flush()  # if the pipe is closed, the exception is raised here, inside of `main`
         raise
     args.command_line = shlex.join(['allan', *words])
     return command_of(args.verb).run(args)
@@ -259,7 +259,7 @@ def console() -> None:
     for name in ('stdout', 'stderr'):
         if getattr(sys, name) is None:  # the parent process has closed the stream
             setattr(sys, name, open(os.devnull, 'w'))  # noqa: SIM115
-        # a file name may contain characters outside the encoding of the terminal
+        # a file name may contain characters that the encoding of the terminal lacks
         getattr(sys, name).reconfigure(errors='backslashreplace')
     # handle SIGTERM like Ctrl-C
     signal.signal(signal.SIGTERM, signal.default_int_handler)

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Options of the command line, declared one by one or by the fields of a settings class."""
+"""Declaration of command-line options: one by one, or by the fields of a settings class."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ class Option(NamedTuple):
     parse: Callable[[str], Any] = str
     default: Any = None
     choices: tuple[str, ...] | None = None
-    nargs: str | None = None  # for an argument: '+' if it may be repeated, '?' if it is optional
-    exclusive: bool = False  # whether only one of the exclusive options of a group may be given
+    nargs: str | None = None  # positional argument: '+' if it may be repeated, '?' if optional
+    exclusive: bool = False  # at most one exclusive option of a group may be given
 
 
 class OptionGroup(NamedTuple):
-    """Options below one heading in the help."""
+    """Options with a common heading in the help."""
 
     title: str
     options: tuple[Option, ...]
@@ -47,27 +47,27 @@ Declared = Sequence[Option | OptionGroup | Settings]
 
 @dataclass(frozen=True)
 class Command:
-    """One verb of the command line."""
+    """A verb (subcommand) of the command line."""
 
     description: str  # the first part of the help text of the verb, with examples
     options: Declared
     run: Callable[[argparse.Namespace], int]  # runs the verb and returns the exit code
-    # further exit codes -> meaning, in addition to the exit codes of all verbs
+    # exit code that not all verbs have -> meaning of the code
     exits: Mapping[int, str] = field(default_factory=dict)
 
 
 def declare(parser: argparse.ArgumentParser, options: Declared) -> None:
     """Add options, groups of options and settings to a parser."""
-    for one in options:
-        if isinstance(one, Settings):
-            add_settings(parser, *one)
-        elif isinstance(one, OptionGroup):
-            group = parser.add_argument_group(one.title)
+    for declared in options:
+        if isinstance(declared, Settings):
+            add_settings(parser, *declared)
+        elif isinstance(declared, OptionGroup):
+            group = parser.add_argument_group(declared.title)
             exclusive = group.add_mutually_exclusive_group()
-            for each in one.options:
-                _add(exclusive if each.exclusive else group, each)
+            for option in declared.options:
+                _add(exclusive if option.exclusive else group, option)
         else:
-            _add(parser, one)
+            _add(parser, declared)
 
 
 def _add(parser: argparse._ActionsContainer, option: Option) -> None:
@@ -115,7 +115,7 @@ def percent(text: str) -> float:
 
 
 TIME_UNITS = {'': 1.0, 's': 1.0, 'm': 60.0, 'min': 60.0, 'h': 3600.0, 'd': 86400.0}
-"""Unit of a time on the command line -> its length in s."""
+"""Unit of time on the command line -> length of the unit in s."""
 
 
 def seconds(text: str) -> float:
@@ -162,8 +162,8 @@ def add_settings(
         info, default = infos[setting.name], setting.default
         name = setting.name.replace('_', '-')
         help_text = info.doc.rstrip('.').replace('%', '%%')
-        # a first word that is a common word begins with a small letter, unlike a term such as 'N'
-        # or a name such as 'Imu'
+        # the first letter becomes lowercase, unless the text begins with a term such as 'N' or with
+        # the name 'Imu'
         if help_text[1].islower() and not help_text.startswith('Imu'):
             help_text = help_text[0].lower() + help_text[1:]
         if isinstance(default, bool):
@@ -176,8 +176,10 @@ def add_settings(
             continue
         unit = f' [{info.unit}]' if info.unit else ''
         joined_default = ','.join(map(str, default)) if isinstance(default, tuple) else default
-        shown = f'{joined_default:g}' if isinstance(joined_default, float) else joined_default
-        default_text = 'auto' if info.auto and default == AUTO else shown
+        plain_default = (
+            f'{joined_default:g}' if isinstance(joined_default, float) else joined_default
+        )
+        default_text = 'auto' if info.auto and default == AUTO else plain_default
         metavar = 'A,B,..' if isinstance(default, tuple) else 'NUMBER'
         if isinstance(default, str):
             metavar = 'TEXT'
@@ -198,7 +200,7 @@ def add_settings(
 
 
 def settings_of(settings_type: type[T], args: argparse.Namespace, **given: Any) -> T:
-    """Return a settings object from parsed arguments; fields in ``given`` take precedence.
+    """Return a settings object with the parsed arguments; values in ``given`` take precedence.
 
     Raises AllanError if a value is invalid.
     """
@@ -208,7 +210,7 @@ def settings_of(settings_type: type[T], args: argparse.Namespace, **given: Any) 
 
 
 def _parser_of(info: ParameterInfo, default: object) -> Callable[[str], Any]:
-    """Return the function that parses the value of a setting."""
+    """Return the function that parses the text for a setting on the command line."""
     if isinstance(default, tuple):
         return _words
     if info.auto:

@@ -37,8 +37,8 @@ EXIT_FAILED, EXIT_UNJUDGED = int(Decision.EXCEEDS), int(Decision.NOT_JUDGED)
 class BatchItem:
     """One unit (IMU) of a batch: its name in the summary, and the jobs that read its recordings.
 
-    ``short`` is a shorter unique name, from which the folder of the unit is named; '' to use
-    ``name``.
+    ``short`` is a shorter unique name, after which the folder of the unit is named; '' if the
+    folder is named after ``name``.
     """
 
     name: str
@@ -208,7 +208,7 @@ def names_of(jobs: Sequence[ReadJob]) -> list[str]:
 
 
 def folder_name(name: str) -> str:
-    """Return a name with _ in place of all characters except letters, digits, +, - and _."""
+    """Return a name in which _ replaces all characters but letters, digits, +, - and _."""
     return re.sub(r'[^\w+-]+', '_', name)
 
 

@@ -50,7 +50,7 @@ HEADLINES: dict[Judgement | None, str] = {
     'exceeds': 'a limit is exceeded',
     None: 'it states no limit for the measured terms',
 }
-"""Worst verdict of the comparisons with a datasheet -> text."""
+"""Worst verdict of the comparisons with a datasheet -> text about this verdict."""
 
 
 def datasheet_lines(results: Results, units: str, columns: int) -> Iterator[str]:
@@ -66,7 +66,8 @@ def datasheet_lines(results: Results, units: str, columns: int) -> Iterator[str]
     headline = f'compared with the datasheet of {sheet.name}: {summary}'
     yield from wrapped(headline, columns, '  ')
     groups: dict[tuple[str, str, float], list[Check]] = {}
-    for c in checks:  # one group for the axes of a sensor with equal limits of a term
+    # one group contains the axes of a sensor that have the same limit of a term
+    for c in checks:
         groups.setdefault((sensor_of(c.axis), c.quantity, c.limit), []).append(c)
     for group in groups.values():
         stated = sheet.limits[group[0].axis][group[0].quantity].stated
@@ -89,7 +90,7 @@ DEVIATION = 'deviation'
 """Label of the last row of a table of coefficients."""
 
 MOST_FINDINGS, MOST_NEXT_STEPS = 5, 4
-"""Largest number of findings that are printed without ``--verbose``, and of printed next steps."""
+"""Largest numbers of printed findings (without ``--verbose``) and of printed next steps."""
 
 
 def results_lines(
@@ -102,8 +103,8 @@ def results_lines(
 ) -> Iterator[str]:
     """Yield the results as lines of text.
 
-    These are the verdict, the coefficients, the numbers for a state estimator, the comparison with
-    a datasheet, the findings, and the next steps.
+    The lines contain the verdict, the coefficients, the numbers for a state estimator, the
+    comparison with a datasheet, the findings, and the next steps.
 
     Parameters
     ----------
@@ -122,8 +123,8 @@ def results_lines(
     """
     yield from wrapped(headline(results), columns, '  ')
     yield from verdict_lines(verdict, columns, colors)
-    for sensor, where in SENSORS.items():
-        axes = [axis for axis in AXES[where] if axis in results.axes]
+    for sensor, rows in SENSORS.items():
+        axes = [axis for axis in AXES[rows] if axis in results.axes]
         fitted_axes = [axis for axis in axes if _has_numbers(results, axis)]
         if fitted_axes:
             noise_of_axes = {axis: results.axes[axis].fit.noise for axis in fitted_axes}
@@ -197,7 +198,7 @@ def findings_lines(
 
 
 def _step_lines(results: Results, verdict: Verdict, columns: int) -> Iterator[str]:
-    """Yield the next steps that are not remedies of findings."""
+    """Yield the next steps, except for remedies of findings, as lines of text."""
     for i, step in enumerate(further_steps(results, verdict)[:MOST_NEXT_STEPS]):
         if i == 0:
             yield ''
@@ -205,7 +206,7 @@ def _step_lines(results: Results, verdict: Verdict, columns: int) -> Iterator[st
 
 
 def _filter_lines(results: Results, columns: int) -> Iterator[str]:
-    """Yield the numbers in the configuration file for Kalibr; no lines if it cannot be made."""
+    """Yield lines with the numbers for Kalibr; no lines if these numbers are not known."""
     try:
         table = filter_table(results)
     except AllanError:
@@ -232,7 +233,7 @@ def _known_rows(table: Table) -> Table:
 
 
 SMALL_DEVIATION = 0.05
-"""Relative deviation of the curve from the model below which the deviation is not stated."""
+"""Smallest relative deviation of the curve from the model that is stated."""
 
 
 def _deviation(results: Results, axis: str) -> str:
@@ -242,14 +243,15 @@ def _deviation(results: Results, axis: str) -> str:
 
 
 def comparison_lines(comparison: RunComparison, units: str, columns: int) -> Iterator[str]:
-    """Yield a comparison as lines: sentences, a table for each sensor, and checks of datasheets.
+    """Yield a comparison of recordings as lines of text.
 
+    The lines are sentences, a table for each sensor, and the comparisons with datasheets.
     ``units`` is 'deg/h' or 'SI', and ``columns`` is the width of the text.
     """
     for sentence in sentences(comparison):
         yield from wrapped(sentence, columns, '  ')
-    for where in SENSORS.values():
-        axes = [a for a in AXES[where] if any(a in r.axes for r in comparison.runs.values())]
+    for rows in SENSORS.values():
+        axes = [a for a in AXES[rows] if any(a in r.axes for r in comparison.runs.values())]
         if axes:
             yield from ('', *terminal_lines(runs_table(comparison, axes, units), columns))
     if comparison.differences:

@@ -37,7 +37,7 @@ NOISES = {
     **{sensor: f'all {sensor} axes' for sensor in SENSORS},
     **{axis: axis for axis in AXES},
 }
-"""Name of an option for noise terms -> axes to which the terms apply, as text."""
+"""Name of an option for noise terms -> text about the axes to which the terms apply."""
 
 SIMULATE_OPTIONS = (
     Option(('output',), 'recording to write', 'OUT'),
@@ -146,7 +146,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _tracked(batches: Iterator[ImuBatch], samples: int, console: Console) -> Iterator[ImuBatch]:
-    """Yield the batches and show a progress bar; ``samples`` is their total number of samples."""
+    """Yield the batches, and show a progress bar; ``samples`` is the total number of samples."""
     with console.progress('writing', samples) as progress:
         for batch in batches:
             yield batch

@@ -2,9 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Configuration files of state estimators, calibration tools and simulators.
 
-A `Target` describes one file: its keys (`Key`), the convention of its numbers with its source, and
-its format (module `text`). The module `filter_noise` computes the `Row` of each key from the noise
-model, and `computed` computes rows that are not in a table of keys. All targets are in `targets`.
+A `Target` describes one file: its keys (`Key`), the convention of its numbers and the source of
+this convention, and its format (module `text`). The module `filter_noise` computes the `Row` of
+each key from the noise model. The module `computed` computes rows without a `Key`. The module
+`targets` contains all targets.
 """
 
 from __future__ import annotations
@@ -41,7 +42,7 @@ WITHOUT_PARAMETERS = ('robot_localization', 'fuse')
 
 
 def target_of(name: str) -> Target:
-    """Return the target with this name, or raise AllanError with the known names."""
+    """Return the export target with this name; raise AllanError if the name is unknown."""
     if name in WITHOUT_PARAMETERS:
         raise AllanError(
             f'{name} has no parameters for the noise of an IMU: it reads the covariances of the '
@@ -65,11 +66,11 @@ def target_rows(
     options: ExportOptions = ExportOptions(),
     bias: Mapping[str, float] = {},
 ) -> tuple[Row, ...]:
-    """Return the measured numbers of a target, to set them as parameters of a running filter.
+    """Return the measured numbers of an export target, for parameters of a running state estimator.
 
     ``results``, ``name`` and ``options`` are the same as in `make_export`. ``bias`` is axis -> bias
-    at rest in SI. The gain of a filter without a bias state is raised to cover this bias. Leave
-    ``bias`` empty if the bias is subtracted from the samples.
+    at rest in SI. The gain of a state estimator without a bias state is raised to cover this bias.
+    Leave ``bias`` empty if the bias is subtracted from the samples.
 
     Raises
     ------
@@ -86,7 +87,7 @@ def make_export(
     options: ExportOptions = ExportOptions(),
     words: Callable[[Finding], str] = str,
 ) -> Export:
-    """Return the text of a file with the measured noise for a filter or simulator.
+    """Return the configuration file of a state estimator or simulator with the measured noise.
 
     ``name`` is one of `TARGETS`, and ``words`` returns the text of a finding for the header. Raises
     AllanError when the target is unknown, or the results lack a number or the factors in motion

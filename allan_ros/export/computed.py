@@ -1,9 +1,9 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Rows of targets without a table of keys, such as state space, Gazebo and the Madgwick filter.
+"""Rows of the export targets without a table of keys, such as state space, Gazebo and Madgwick.
 
-A simulator with a single Gauss-Markov bias gets the process whose error growth is closest to the
-model.
+A simulator that models the bias by one Gauss-Markov process gets the process whose error growth is
+closest to the error growth of the noise model.
 
 State-space document
 --------------------
@@ -32,11 +32,11 @@ from .target import ANY_NODE, Key, Row
 SCHEMA = 'allan_ros/state_space/3'
 
 MATRIX_DIGITS = 12
-"""Significant digits of the matrices; many digits, because the diagonal of Phi is close to 1."""
+"""Number of significant digits of a matrix: many, because the diagonal of Phi is close to 1."""
 
 
 def state_space_rows(noise: FilterNoise) -> Iterator[Row]:
-    """Yield the rows of the state-space document: schema, rate, levels and matrices by axis."""
+    """Yield the rows of the state-space document: schema, rate, and one row for each axis."""
     yield Row(('schema',), SCHEMA)
     yield Row(('rate_hz',), noise.rate)
     step = 1.0 / noise.rate
@@ -68,7 +68,7 @@ def state_space_rows(noise: FilterNoise) -> Iterator[Row]:
 
 
 def gazebo_rows(noise: FilterNoise) -> Iterator[Row]:
-    """Yield the noise elements of <imu> in SDF.
+    """Yield the rows of the noise elements of <imu> in an SDF file for Gazebo.
 
     In each step dt, Gazebo adds noise of the variance sigma_b^2 tau/2 (1 - exp(-2 dt/tau)) to the
     bias, with sigma_b = dynamic_bias_stddev and tau = dynamic_bias_correlation_time. The stationary
@@ -85,7 +85,7 @@ def gazebo_rows(noise: FilterNoise) -> Iterator[Row]:
                 ('dynamic_bias_correlation_time', 'tau', 's'),
             )
         )
-        # these texts describe all three axes, so only the first axis has them
+        # the two texts describe all three axes, so they are written only for the first axis
         white_words, bias_words = (f'of {sensor} {row.words}' for row in (white, bias))
         for i, (name, axis) in enumerate(noise.axes_of(sensor).items()):
             path = ('imu', element, name[-1], 'noise')
@@ -115,16 +115,17 @@ def gazebo_rows(noise: FilterNoise) -> Iterator[Row]:
 
 
 MADGWICK_FACTOR = math.sqrt(3.0 / 4.0)
-"""Ratio of the filter gain to the gyro error (S. O. H. Madgwick, An efficient orientation filter
-for inertial and inertial/magnetic sensor arrays, 2010, section on filter gains)."""
+"""Ratio of the gain of the Madgwick filter to the gyro error (S. O. H. Madgwick, An efficient
+orientation filter for inertial and inertial/magnetic sensor arrays, 2010, section on filter
+gains)."""
 
 
 def madgwick_rows(noise: FilterNoise) -> Iterator[Row]:
-    """Yield the parameters gain and zeta of the Madgwick filter at the horizon h.
+    """Yield the rows of the parameters gain and zeta of the Madgwick filter, for the horizon h.
 
     The gain is sqrt(3/4) times the error of the gyro. This error consists of the Allan deviation at
-    h without quantization and vibration, and of the bias if it is known, because the filter
-    estimates no bias without a magnetometer.
+    h without quantization and vibration, and of the bias if the bias is known. The bias counts as
+    an error because the filter does not estimate it without a magnetometer.
 
     zeta is sqrt(3/4) times the drift of the bias per second. This drift is R if R is resolved on
     every axis, else K / sqrt(h), because a random walk moves by K sqrt(h) within h.
@@ -165,7 +166,7 @@ def madgwick_rows(noise: FilterNoise) -> Iterator[Row]:
 
 
 def covariance_rows(noise: FilterNoise) -> Iterator[Row]:
-    """Yield the covariance matrices of the samples, row by row, as in sensor_msgs/Imu."""
+    """Yield the rows of the sample covariances: 3 x 3 matrices as in sensor_msgs/Imu."""
     for name, sensor in (('angular_velocity', 'gyro'), ('linear_acceleration', 'accel')):
         path = (*ANY_NODE, f'{name}_covariance')
         row = noise.level_row(path, sensor, 'N', NOTATIONS['variance'])
@@ -174,9 +175,10 @@ def covariance_rows(noise: FilterNoise) -> Iterator[Row]:
 
 
 def temperature_rows(noise: FilterNoise) -> Iterator[Row]:
-    """Yield T0 and the coefficients b0, b1 and b2 of sensors with a temperature model of all axes.
+    """Yield the rows of the bias over temperature: T0, b0 (of the gyro only), b1 and b2.
 
-    b1 and b2 are 0 on axes where the effect of the temperature is not resolved.
+    A sensor is excluded if one of its axes has no temperature model. b1 and b2 are 0 on axes where
+    the effect of the temperature is not resolved. Raises AllanError if both sensors are excluded.
     """
     sensors = noise.results.temperature_models
     complete_models = {s: models for s, models in sensors.items() if len(models) == len(AXES) / 2}

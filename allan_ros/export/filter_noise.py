@@ -1,14 +1,14 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Compute the rows of an exported file: the noise of one IMU in the convention of one target.
+"""Compute the rows of an exported file: the noise of an IMU in the convention of a target.
 
 Discrete-time noise
 -------------------
-N and K are continuous-time noise densities. A filter with the rate f needs discrete-time noise. In
-one step of 1/f seconds, white noise must add N^2/f to the variance of the integral of the samples,
-and a random walk must add K^2/f to the variance of the bias (N. Trawny, S. I. Roumeliotis, Indirect
-Kalman Filter for 3D Attitude Estimation, University of Minnesota, 2005, eqs. 129, 130). `NOTATIONS`
-lists the scalings that filters use.
+N and K are continuous-time noise densities. A state estimator with the rate f needs discrete-time
+noise. In one step of 1/f seconds, white noise must add N^2/f to the variance of the integral of the
+samples, and a random walk must add K^2/f to the variance of the bias (N. Trawny, S. I. Roumeliotis,
+Indirect Kalman Filter for 3D Attitude Estimation, University of Minnesota, 2005, eqs. 129, 130).
+`NOTATIONS` lists the scalings that state estimators use.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from ..results.results import Results
 
 FILE_DIGITS = 6
-"""Significant digits of numbers in a file. Rounding errors are far below any 95 % interval."""
+"""Number of significant digits in a file. Rounding errors are far smaller than 95 % intervals."""
 
 REFUSED = ('gyro_unit', 'accel_unit', 'accel_scale', *UNSUITABLE)
 """Ids of findings with which no file is written without `--force`: the samples are not in SI units,
@@ -53,11 +53,11 @@ DEFAULT_TOPIC = '/imu0'
 
 
 class Notation(NamedTuple):
-    """Form of N or K in the file of a filter: the number (level / factor)^power f^rate_power.
+    """Form of N or K in a configuration file: the number (level / factor)^power f^rate_power.
 
-    The level is N or K in SI, and f is the rate of the filter in Hz. For example, a filter may
-    expect the standard deviation s = N sqrt(f) of a sample. In a step of 1/f s, noise of this size
-    adds (s / f)^2 = N^2/f to the variance of the integral.
+    The level is N or K in SI, and f is the rate of the state estimator in Hz. For example, a state
+    estimator may expect the standard deviation s = N sqrt(f) of a sample. In a step of 1/f s, noise
+    of this size adds (s / f)^2 = N^2/f to the variance of the integral.
     """
 
     # templates for the header of a file: {term} is N or K; {density}, {std} and {bias} are the
@@ -66,14 +66,14 @@ class Notation(NamedTuple):
     unit: str
     power: float = 1.0
     rate_power: float = 0.0
-    factor: float = 1.0  # SI value of the unit of the number
+    factor: float = 1.0  # SI value of one unit of the number
 
     def number(self, level: float, rate: float) -> float:
-        """Return the number to write for N or K in SI (``level``) and a filter rate in Hz."""
+        """Return the number in the file for N or K in SI (``level``) and a rate in Hz."""
         return float((level / self.factor) ** self.power * rate**self.rate_power)
 
     def level(self, number: float, rate: float) -> float:
-        """Return N or K in SI for a number read from a file and the filter rate in Hz."""
+        """Return N or K in SI for a number from a file and a rate in Hz."""
         return float((number / rate**self.rate_power) ** (1.0 / self.power) * self.factor)
 
 
@@ -84,11 +84,11 @@ NOTATIONS = {
     'step_std': Notation('{term} / sqrt(f)', '{bias}', 1.0, -0.5),
     'covariance': Notation('{term}^2', '({density})^2', 2.0),
 }
-"""Notations in which filters expect N and K."""
+"""Name -> notation in which a state estimator expects N or K; `Key.unit` is such a name."""
 
 
 def notation_of(key: Key) -> Notation:
-    """Return the notation of a key for N or K."""
+    """Return the notation of N or K under a key."""
     return NOTATIONS.get(key.unit) or Notation('', key.unit, factor=UNITS[key.unit].factor)
 
 
@@ -100,7 +100,7 @@ def rounded(value: Any, digits: int = FILE_DIGITS) -> Any:
 
 
 def noise_factors(results: Results, options: ExportOptions) -> Mapping[str, Mapping[str, float]]:
-    """Return the factors by which N and K are multiplied: sensor -> 'N' or 'K' -> factor.
+    """Return the factors by which N and K in a file are multiplied: sensor -> 'N' or 'K' -> factor.
 
     With ``options.motion``, these are the measured factors in motion, but at least 1. Otherwise,
     they are the factors in ``options.inflate``.
@@ -137,13 +137,14 @@ class FilterNoise:
     Attributes
     ----------
     rate : float
-        Rate of the filter in Hz.
+        Rate of the state estimator in Hz.
     horizon : float
         Longest integration time in s over which N and K describe the error growth.
     bias : mapping of axis name to float
         Bias at rest in SI of each axis whose bias is known.
     factors : mapping of sensor to mapping of term to float
-        Factors on N and on the drift (K, R and processes) of 'gyro' and 'accel'.
+        'gyro' or 'accel' -> 'N' or 'K' -> factor by which the noise is multiplied. The factor of
+        'K' also applies to R and to the other processes of the drift.
     used : dict of axis name to Reduction
         Reduced-order model of each axis whose N and K are written to the file.
     """
@@ -192,7 +193,7 @@ class FilterNoise:
         if key.what in ('N', 'K'):
             sensors = SENSORS if key.sensor == '-' else (key.sensor,)
             rows = [self.level_row(path, sensor, key.what, notation_of(key)) for sensor in sensors]
-            row = max(rows, key=lambda one: max(one.values))
+            row = max(rows, key=lambda each: max(each.values))
             return row if key.limits is None else clamped(row, *key.limits)
         if key.what == 'rate':
             return Row(path, self.rate)
@@ -208,7 +209,8 @@ class FilterNoise:
     def level_row(self, path: tuple[str, ...], sensor: str, term: str, notation: Notation) -> Row:
         """Return the row of N, K or R of a sensor.
 
-        Its value is the largest number of the axes or, if the file has three numbers, x, y and z.
+        The value of the row is the largest number of the three axes or, if the file has a number
+        for each axis, the list of x, y and z.
         """
         units, factor = SI_UNITS[sensor], self.factors[sensor]['N' if term == 'N' else 'K']
         levels = [self.level(axis, term) for axis in self.axes_of(sensor)]
@@ -230,11 +232,10 @@ class FilterNoise:
         return Row(path, value, words, unit, (low, high), tuple(levels))
 
     def level(self, axis: str, term: str) -> FilterLevel:
-        """Return the noise level of a term of one axis.
+        """Return the noise level of a term of one axis for the file.
 
-        K, and N if the target models a random walk, come from a reduced-order model, which covers
-        the error growth of the complete model. With the fidelity 'coefficients', all terms are as
-        measured.
+        K, and N if the target models a random walk, come from the reduced-order model. With the
+        fidelity 'coefficients', all terms are as measured.
         """
         is_adjusted = term == 'K' or (term == 'N' and self.target.walk)
         if self.options.fidelity == 'coefficients' or not is_adjusted:
@@ -242,15 +243,15 @@ class FilterNoise:
         return self.reduction(axis).levels[term]
 
     def _process_row(self, path: tuple[str, ...], key: Key) -> Row:
-        """Return the row of sigma, tau or the driving density of the Gauss-Markov bias of x, y, z.
+        """Return the row of a parameter of the Gauss-Markov processes of x, y and z.
 
-        The Gauss-Markov process of an axis is chosen so that its error growth is closest to the
-        error growth that the drift of the axis causes.
+        The parameter is sigma, tau or the driving density. The process of an axis is chosen so that
+        its error growth is closest to the error growth due to the drift of the axis.
         """
         axes = self.axes_of(key.sensor)
         has_common_tau = any(each.what == 'common_tau' for each in self.target.keys)
         tau = self.common_tau if has_common_tau else None
-        # axis without a fitted process -> K from which its process is computed
+        # axis whose model has no correlation time -> K from which the process is computed
         walk_levels, sigmas_and_taus = {}, []
         for name, axis in axes.items():
             model = axis.fit.model
@@ -258,7 +259,7 @@ class FilterNoise:
                 reduction = self.reduction(name, 'processes')
                 model, walk_levels[name] = reduction.model, reduction.levels['K']
             pair = closest_process(model, GaussMarkov, self.horizon, tau, self.target.bound)
-            assert pair is not None  # every model here has drift
+            assert pair is not None  # because the model has drift
             sigmas_and_taus.append(pair)
         taus = [pair[1] for pair in sigmas_and_taus]
         if key.what == 'tau':
@@ -268,7 +269,10 @@ class FilterNoise:
         formula = ''
         if key.what == 'driving':
             formula = ' = sigma sqrt(2 / tau)'
-            values = [value * math.sqrt(2.0 / one) for value, one in zip(values, taus)]
+            values = [
+                value * math.sqrt(2.0 / correlation_time)
+                for value, correlation_time in zip(values, taus)
+            ]
         si = SI_UNITS[key.sensor]['B']
         axis_texts = '; '.join(
             f'{name} {significant(s, VALUE_DIGITS)} {si}, {t:.4g} s{_origin(walk_levels.get(name))}'
@@ -291,7 +295,7 @@ class FilterNoise:
         )
 
     def axes_of(self, sensor: str) -> Mapping[str, AxisResult]:
-        """Return axis -> result of a sensor; raise AllanError if any of its axes is missing."""
+        """Return axis -> result for the axes of a sensor; raise AllanError if one is missing."""
         names = AXES[SENSORS[sensor]]
         missing_axes = [name for name in names if name not in self.results.axes]
         if missing_axes:
@@ -300,14 +304,14 @@ class FilterNoise:
         return {name: self.results.axes[name] for name in names}
 
     def reduction(self, axis: str, states: States = 'walk') -> Reduction:
-        """Return the reduced-order model of one axis for a filter with the given bias states."""
+        """Return the reduced-order model of one axis for a state estimator with ``states``."""
         reduced = reduce_axis(axis, self.results.axes[axis].fit, states, self.horizon)
         if states == 'walk':
             self.used[axis] = reduced
         return reduced
 
     def findings(self) -> list[Finding]:
-        """Return a warning if N and K cannot describe the error growth of some axes."""
+        """Return a list with a warning if N and K cannot describe the error growth of some axes."""
         poor_ratios = {
             axis: reduced.ratio[1]
             for axis, reduced in self.used.items()
@@ -324,7 +328,7 @@ class FilterNoise:
 
     @cached_property
     def common_tau(self) -> float:
-        """Geometric mean in s of the correlation times that describe the drift of all axes."""
+        """Geometric mean, over the axes, of the correlation time in s that fits the drift best."""
         models = [self.reduction(name, 'processes').model for name in self.results.axes]
         sigmas_and_taus = (closest_process(model, GaussMarkov, self.horizon) for model in models)
         taus = [pair[1] for pair in sigmas_and_taus if pair]
@@ -332,7 +336,7 @@ class FilterNoise:
 
 
 def has_time(part: Part) -> bool:
-    """Return whether a part is drift with a correlation time, which differs from N and K."""
+    """Return whether a part of a model is drift with a correlation time, unlike a random walk."""
     return bool(part.process.parameters) and part.process.is_drift and not part.process.is_line
 
 
@@ -360,7 +364,7 @@ def level_words(level: FilterLevel) -> str:
 
 
 def _origin(walk: FilterLevel | None) -> str:
-    """Return a note about a K that is a limit or has no interval; '' for any other K."""
+    """Return a note for a K that is an upper limit or has no interval; '' for any other K."""
     if walk is None or not (walk.is_limit or walk.no_interval):
         return ''
     return f' from {"the 95 % upper limit of K" if walk.is_limit else "K without an interval"}'

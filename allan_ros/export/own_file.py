@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Compare the measured drift with the drift that a filter expects from the user's own file."""
+"""Compare the measured drift with the drift that the user's own configuration file predicts."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ SHOWN_UNITS = {'gyro': (DEGREE, 'deg'), 'accel': (1.0, 'm/s')}
 """Sensor -> SI value and name of the unit in which its drift is shown."""
 
 SHOWN_DIGITS = 2
-"""Significant digits of a drift in a text."""
+"""Number of significant digits of a drift in a text."""
 
 ROUNDING_TOLERANCE = 0.01
-"""Largest relative difference of two drifts that can be due to rounded numbers in a file."""
+"""Largest relative difference between two drifts that can be due to rounded numbers in a file."""
 
 SMALLEST_STD, LARGEST_STD = 1e-30, 1e15
 """Range of accepted numbers in a file, in any unit. The square of an accepted number is finite."""
@@ -44,24 +44,24 @@ EXAMPLE_TARGETS = 'kalibr, openvins or px4'
 
 
 class Drift(NamedTuple):
-    """Standard deviation of the angle (rad) or velocity (m/s) error of one axis."""
+    """Standard deviation of the angle error (rad) or velocity error (m/s) of one axis."""
 
     axis: str
     after: float  # time since the last correction in s
-    file: float  # drift that a filter expects with the numbers of the user's file
-    measured: float  # drift of the measured model
+    file: float  # drift that a state estimator expects with the numbers in the user's file
+    measured: float  # drift that the measured noise model predicts
     ci95: tuple[float, float] | None  # 95 % interval of ``measured``
 
     @property
     def ratio(self) -> float:
-        """Measured drift divided by the drift that the file expects; infinite if this is 0."""
+        """Measured drift divided by the drift according to the file; infinite if that is 0."""
         return self.measured / self.file if self.file else math.inf
 
     @property
     def overconfident(self) -> bool:
-        """Whether the drift that the file expects is below the 95 % interval of the measured drift.
+        """Whether the file predicts a drift below the 95 % interval of the measured drift.
 
-        If there is no interval, whether the expected drift lies below the measured drift.
+        Without an interval, whether the file predicts a drift below the measured drift.
         """
         return self.file < (self.ci95[0] if self.ci95 else self.measured)
 
@@ -91,8 +91,8 @@ def against(
         Text of the user's file, in the format and with the keys that `make_export` writes; other
         keys are ignored.
     options : ExportOptions
-        The rate of the filter and the horizon. It is assumed that the bias was averaged over a time
-        of this length before the last correction.
+        The rate of the state estimator and the horizon. It is assumed that the bias was averaged
+        over a time as long as the horizon before the last correction.
 
     Raises
     ------
@@ -115,7 +115,7 @@ def against(
 
 
 def verdicts(drifts: tuple[Drift, ...]) -> list[str]:
-    """Return a sentence for each sensor about the axis and time with the largest ratio."""
+    """Return for each sensor a sentence on the axis and time with the largest `Drift.ratio`."""
     lines = []
     for sensor in dict.fromkeys(sensor_of(drift.axis) for drift in drifts):
         worst_drift = max((d for d in drifts if sensor_of(d.axis) == sensor), key=lambda d: d.ratio)
@@ -131,9 +131,10 @@ def verdicts(drifts: tuple[Drift, ...]) -> list[str]:
 
 
 def file_models(target: Target, text: str, rate: float) -> Mapping[str, Model]:
-    """Return axis -> noise model that a filter assumes with the numbers in the text of its file.
+    """Return axis -> noise model that a state estimator assumes with the numbers in its file.
 
-    ``rate`` is the rate of the filter in Hz. Raises AllanError under the conditions of `against`.
+    ``text`` is the text of the file, and ``rate`` is the rate of the state estimator in Hz. Raises
+    AllanError under the conditions of `against`.
     """
     quantities = {key.what for key in target.keys}
     if not quantities & {'K', 'sigma'}:
@@ -150,9 +151,11 @@ def file_models(target: Target, text: str, rate: float) -> Mapping[str, Model]:
         for sensor in SENSORS if key.sensor == '-' else (key.sensor,):
             values.setdefault((sensor, key.what), numbers)
     models = {}
-    for sensor, place in SENSORS.items():
-        for i, axis in enumerate(AXES[place]):
-            axis_values = {what: v[i % len(v)] for (s, what), v in values.items() if s == sensor}
+    for sensor, rows in SENSORS.items():
+        for i, axis in enumerate(AXES[rows]):
+            axis_values = {
+                quantity: v[i % len(v)] for (s, quantity), v in values.items() if s == sensor
+            }
             bias = (
                 [(axis_values['sigma'], GaussMarkov(axis_values['common_tau']))]
                 if 'sigma' in axis_values

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Types of an export: keys, rows and conventions of a file, and the options of the user."""
+"""Data types of the export: targets, keys and rows of a file, and the options of the user."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from ..core.imu import SENSORS
 from ..core.settings import CheckedSettings, check_range, parameter
 
 VIO_HORIZON_S = 30.0
-"""Longest time in s for which a filter integrates between corrections by a camera or lidar."""
+"""Longest time in s that a state estimator integrates between corrections by a camera or lidar."""
 
 INS_HORIZON_S = 100.0
-"""Longest time in s for which a filter integrates between corrections by GNSS with outages."""
+"""Longest time in s that a state estimator integrates between corrections by GNSS with outages."""
 
 SIMULATOR_HORIZON_S = 1000.0
-"""Time in s up to which a simulated sensor should drift like the real one."""
+"""Time in s up to which a simulated sensor should drift like the measured sensor."""
 
 ANY_NODE = ('/**', 'ros__parameters')
-"""Top-level keys of ROS 2 parameters for any node that loads the file by --params-file."""
+"""Top-level keys of a ROS 2 parameter file that apply to every node that loads the file."""
 
 Value = Any
 """The value of a key in a file: a number, a string, a list or a mapping of these."""
@@ -81,7 +81,7 @@ class ExportOptions(CheckedSettings):
     )
 
     def __post_init__(self) -> None:
-        text = self.inflate  # in Python, also a number or a mapping of sensor to number
+        text = self.inflate  # a Python user may also give a number, or a dict: sensor -> number
         if isinstance(text, Mapping):
             text = ','.join(f'{sensor}={factor}' for sensor, factor in text.items())
         elif isinstance(text, Real) and not isinstance(text, bool):
@@ -128,7 +128,7 @@ class Key(NamedTuple):
     # 'common_tau': correlation time of all axes, in h; 'rate'; 'topic'
     what: str
     unit: str = ''  # a name in `filter_noise.NOTATIONS`, or a unit of measurement
-    limits: tuple[float, float] | None = None  # range of numbers that the filter accepts
+    limits: tuple[float, float] | None = None  # range of numbers that the state estimator accepts
 
 
 @dataclass(frozen=True)
@@ -182,8 +182,8 @@ class Row:
 def keys_of(table: str) -> tuple[Key, ...]:
     """Return the keys that a table lists, one for each line.
 
-    A line is ``name sensor what [unit [low..high]]``: the attributes of a `Key`, of which the last
-    one is ``limits``. The default unit is 'density'.
+    A line is ``name sensor what [unit [low..high]]``: the fields of a `Key`, with ``low..high`` for
+    ``limits``. The default unit is 'density'.
     """
     keys = []
     for line in table.strip().splitlines():
@@ -212,7 +212,7 @@ RAISED = 'Raised numbers cover B and correlated noise, for which the filter has 
 
 
 def origin_text(level: FilterLevel) -> str:
-    """Return a text about how a number for a filter differs from the coefficient as measured."""
+    """Return a text on how a number for a state estimator differs from the measured coefficient."""
     name = f'{level.estimate.name} of {level.estimate.axis.replace("_", " ")}'
     if level.raised_from == 0.0:
         return f'{name} is not resolved: set to cover the error growth'
@@ -224,16 +224,16 @@ def origin_text(level: FilterLevel) -> str:
 
 
 Form = Callable[[Sequence[Row], Sequence[str]], str]
-"""Text format: (rows, lines of the header) -> text of a file."""
+"""Function (rows, lines of the header) -> text of a file in one format."""
 
 
 @dataclass(frozen=True)
 class Target:
-    """A filter, simulator or calibration tool."""
+    """An export target: a file of a state estimator, simulator or calibration tool."""
 
     title: str  # the file and the meaning of its numbers, for a list of all targets
-    file_name: str  # name of its file in a results folder
-    convention: str  # meaning of the numbers, and the source file of the target that shows it
+    file_name: str  # name of the file in a results folder
+    convention: str  # meaning of the numbers, and the source code that shows this meaning
     form: Form
     keys: tuple[Key, ...] = ()  # the keys of the file
     parent: tuple[str, ...] = ()  # keys of the nested mappings that contain the keys of the file
@@ -241,18 +241,18 @@ class Target:
     notes: tuple[str, ...] = ()  # further information for the user of this file
     # yields the rows of a file that is too complex for a table, given a `FilterNoise`
     rows: Callable[[Any], Iterable[Row]] | None = None
-    three: bool = False  # whether the file has numbers for x, y and z; else only the largest one
-    rate_hz: float | None = None  # fixed rate of the filter in Hz; None if it is the sample rate
+    three: bool = False  # whether the file has three numbers, x, y and z; else one, the largest
+    rate_hz: float | None = None  # fixed rate of the estimator in Hz; None if it is the sample rate
     horizon_s: float = VIO_HORIZON_S  # default of `ExportOptions.horizon` in s
-    # whether the target models the bias as a random walk; N and K are then adjusted together
+    # whether the target models the bias as a random walk, so that N and K are adjusted together
     walk: bool = True
-    # whether the numbers bound the error growth from above, as a filter needs; else they
-    # approximate the error growth
+    # whether the numbers bound the error growth from above, as a state estimator needs; if False,
+    # they approximate the error growth, as a simulator needs
     bound: bool = True
 
 
 class Export(NamedTuple):
-    """The text of a file for a filter, and findings about its numbers."""
+    """The text of an exported file, and findings about its numbers."""
 
     text: str
     findings: tuple[Finding, ...]

@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """All export targets: title, keys, convention and format of each file.
 
-Each convention was verified in the source file that it names. In formulas, N and K are continuous
-densities, and f is the rate in Hz.
+Each convention was verified in the source file that it names. In formulas, N and K are
+continuous-time noise densities, and f is the rate in Hz.
 """
 
 from __future__ import annotations
@@ -115,11 +115,11 @@ TARGETS = {
             'the values of your file if it has them',
         ),
     ),
-    # The midpoint rule averages two samples and assumes independent noise in each: V noise V' adds
-    # gyr_n^2 dt^2 / 2 to the variance of the angle, although white noise adds N^2 dt. The customary
-    # N sqrt(f) thus propagates half of the variance; N sqrt(2f) propagates all of it. The block of
-    # V for the bias is dt. A random walk adds K^2 dt to the variance of the bias, which needs gyr_w
-    # = K sqrt(f).
+    # The midpoint rule averages two samples and treats their noise as independent. In a step dt, it
+    # adds gyr_n^2 dt^2 / 2 to the variance of the angle, although white noise adds N^2 dt. The
+    # customary gyr_n = N sqrt(f) thus propagates half of the variance; N sqrt(2f) would propagate
+    # all of it. For the bias, each step adds gyr_w^2 dt^2. A random walk adds K^2 dt, so gyr_w is
+    # K sqrt(f).
     'vins_fusion': Target(
         'VINS-Mono and VINS-Fusion: std per sample, N sqrt(f) and K sqrt(f)',
         'vins_fusion_imu.yaml',
@@ -286,9 +286,8 @@ TARGETS = {
         'px4_imu.params',
         'standard deviation per EKF2 step of 10 ms (src/modules/ekf2/EKF/covariance.cpp, '
         'EKF2_PREDICT_US)',
-        line_form(
-            '1\t1\t{key}\t{value}\t9'
-        ),  # vehicle, component (1 is the autopilot), key, value, type (9 is a real number)
+        # columns: vehicle, component (1: the autopilot), key, value, type (9: a real number)
+        line_form('1\t1\t{key}\t{value}\t9'),
         keys_of("""
         EKF2_GYR_NOISE    gyro   N  std  1e-4..0.1
         EKF2_ACC_NOISE    accel  N  std  0.01..1

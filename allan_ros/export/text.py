@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 # --- header ---------------------------------------------------------------------------------------
 
 NAMED_SOURCES = 3
-"""Largest number of recordings that the header comment names; others are counted."""
+"""Largest number of recordings that the header comment names; further recordings are counted."""
 
 
 def header_lines(
@@ -103,7 +103,7 @@ def header_lines(
 
 
 def _inflation(noise: FilterNoise) -> str:
-    """Return the factors on the noise levels as text."""
+    """Return the factors by which the noise is multiplied as text for the header."""
     note, motion = 'the levels below are without these factors', noise.results.motion
     if noise.options.motion and motion is not None:
         factors_in_motion = ', '.join(
@@ -154,7 +154,7 @@ INNERMOST_LIST = re.compile(r'\[\s+([^][{}"]*?)\s+\]')
 
 
 def nested(rows: Sequence[Row]) -> dict[str, Value]:
-    """Return the values of rows as nested mappings."""
+    """Return the values of the rows as nested dicts, whose keys are the paths of the rows."""
     tree: dict[str, Value] = {}
     for row in rows:
         mapping: Any = tree
@@ -173,10 +173,10 @@ def json_form(rows: Sequence[Row], header: Sequence[str]) -> str:
 
 
 def line_form(line: str, before: str = '', after: str = '') -> Form:
-    """Return the format of a file with one line per key.
+    """Return a function that writes a file with one line per key.
 
-    ``line`` is a `str.format` template of key and value. ``before`` is text between header and
-    lines, ``after`` text after the lines.
+    ``line`` is a `str.format` template with ``key`` and ``value``. ``before`` is text between
+    header and lines, ``after`` is text after the lines.
     """
 
     def form(rows: Sequence[Row], header: Sequence[str]) -> str:
@@ -189,7 +189,7 @@ def line_form(line: str, before: str = '', after: str = '') -> Form:
 
 def xml_form(rows: Sequence[Row], header: Sequence[str]) -> str:
     """Return a fragment of XML; a key that starts with '@' is an attribute of its element."""
-    # a comment must not contain two hyphens in a row
+    # an XML comment must not contain two hyphens in a row
     lines = ''.join(f'  {line.replace("--", "- -")}\n' for line in header)
     return f'<!--\n{lines}-->\n' + '\n'.join(_elements(nested(rows))) + '\n'
 
@@ -208,7 +208,7 @@ def _elements(tree: dict[str, Value], depth: int = 0) -> list[str]:
 
 
 class _Dumper(yaml.SafeDumper):  # type: ignore[misc]
-    """Writes lists of numbers on one line, and indents sequences as OpenCV requires."""
+    """Writes YAML with lists of numbers on one line, and indents lists as OpenCV requires."""
 
     def increase_indent(self, flow: bool = False, indentless: bool = False) -> Any:
         return super().increase_indent(flow, False)
@@ -226,7 +226,7 @@ _Dumper.add_representer(
 
 
 def yaml_form(rows: Sequence[Row], header: Sequence[str], first: str = '') -> str:
-    """Return a YAML file that begins with the line ``first``."""
+    """Return a YAML file that begins with the text ``first``, followed by the header."""
     tree: str = yaml.dump(
         nested(rows),
         Dumper=_Dumper,
@@ -239,4 +239,4 @@ def yaml_form(rows: Sequence[Row], header: Sequence[str], first: str = '') -> st
 
 
 opencv_form = partial(yaml_form, first='%YAML:1.0\n')
-"""Format of YAML files that OpenCV reads (cv::FileStorage)."""
+"""Function like `yaml_form`, for YAML files that OpenCV reads (cv::FileStorage)."""
