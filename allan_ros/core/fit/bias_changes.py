@@ -76,7 +76,7 @@ class Segment:
     known : Statistics
         Spectra of all data, and contrasts of this segment only.
     lowest : int
-        Smallest index of the octaves that are used: the octave of the highest frequencies.
+        Smallest index of an octave that is used; smaller indices have higher frequencies.
     components : tuple of Process
         Processes of the noise: the random terms, and a daily cycle if the segment is long.
     """

@@ -169,8 +169,8 @@ def estimate(
 ) -> SelectedModel:
     """Return the selected model of one axis.
 
-    ``possible`` is a process whose shape is known, such as a daily cycle. The model contains it if
-    it is resolved in addition to all other components.
+    ``possible`` is a process whose shape is known, such as a daily cycle. The model contains this
+    process if the process is resolved in addition to all other components.
     """
     if possible is None:
         return _estimate(Selection(data, candidates))
@@ -204,7 +204,7 @@ def _estimate(rules: Selection) -> SelectedModel:
 
 
 def _down_weighted(rules: Selection, fit: Fit) -> tuple[Selection, Fit, dict[int, float]]:
-    """Return a selection with less weight of octaves that differ from the model, and its fit.
+    """Return a selection with less weight on octaves that differ from the model, and its fit.
 
     The third result is octave -> measured over modeled power, for the octaves that differ.
     """

@@ -353,7 +353,7 @@ def profile_interval(
     """Return the interval of the coefficient ``i`` of a fit, by its profile likelihood.
 
     The interval is in units of `AxisData.scale`. It contains all values whose -2 log L exceeds the
-    minimum by at most 3.84, where all other coefficients are fitted again at each value.
+    minimum by at most 3.84, with all other coefficients fitted again for each value.
     ``with_shapes``, (components + shapes, components + shapes), is the result of
     `information_with_shapes`. If it is given, the interval is wider by the ratio of two standard
     errors: with unknown and with known shapes.
@@ -432,7 +432,7 @@ class RampEstimate(NamedTuple):
 
     @property
     def half_width(self) -> float:
-        """Half of the 95 % interval."""
+        """Half of the width of the 95 % interval."""
         from scipy.special import stdtrit
 
         return float(stdtrit(self.dof, 0.975)) * self.error

@@ -173,7 +173,7 @@ class Selection:
         return self.refined(self.fit(components, fit.p), range(len(self.base), len(fit.p)))
 
     def without_superfluous(self, fit: Fit) -> Fit:
-        """Return the fit without processes that became superfluous when others were added.
+        """Return the fit without processes that later processes made superfluous.
 
         Sinusoids are kept.
         """
@@ -296,7 +296,7 @@ class Selection:
         return best if fit.value - best.value > threshold else fit
 
     def weighed(self, fit: Fit) -> tuple[Selection, Fit]:
-        """Return the selection with less weight of bins that contain sinusoids, and its new fit.
+        """Return the selection with less weight on bins that contain sinusoids, and its new fit.
 
         A real sinusoid is never as narrow as in the model, so that a bin in which a sinusoid
         dominates determines only the amplitude. Bins that may contain the alias of a sinusoid get

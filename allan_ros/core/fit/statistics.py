@@ -460,7 +460,8 @@ def _coarser(y: Floats, factor: int) -> Floats:
 def _lengths(points: int) -> list[int]:
     """Return the lengths of pieces into which ``points`` block means are divided.
 
-    The lengths are 4, 6, 8, 12, 16 ..., the longest first. Fewer than 4 remaining means are omitted.
+    The lengths are 4, 6, 8, 12, 16 ..., the longest first. Fewer than 4 remaining block means are
+    omitted.
     """
     lengths, sizes = [], sorted((s << k for k in range(9) for s in (4, 6)), reverse=True)
     for size in sizes:
