@@ -14,7 +14,7 @@ rest beside a fan, which adds only a few sinusoids.
    have more variance than the white noise of a sample.
 2. The white noise is not resolved, or is known much less precisely than pure white noise in a
    recording of this length would be. Other noise is then larger at all frequencies.
-3. The model does not fit in more than a third of the octaves of frequencies.
+3. In more than a third of the octaves of frequencies, the model does not fit.
 """
 
 from __future__ import annotations

@@ -231,8 +231,8 @@ def scatter(levels: PeriodLevels, axes: Sequence[int]) -> float:
     Returns
     -------
     float
-        Half of the 95 % interval of the logarithm of the amplitude; 0 if the levels of the parts do
-        not differ significantly.
+        Half of the width of the 95 % interval of the logarithm of the amplitude; 0 if the levels of
+        the parts do not differ significantly.
     """
     from scipy.special import chdtrc, polygamma, stdtrit
 

@@ -80,8 +80,9 @@ class AxisFit:
         Whether the samples are low-pass filtered. Q is then not measured, and N is the density in
         the pass band.
     white_scatter, drift_scatter : float
-        Half of the 95 % interval of the logarithm of the amplitude of white noise and of the drift
-        in another hour of the same sensor; 0 if the levels within the recording do not vary.
+        Half of the width of the 95 % interval of the logarithm of the amplitude in another hour of
+        the same sensor, for white noise and for drift; 0 if the levels within the recording do not
+        vary.
     gof_z : float or None
         Goodness of fit of the model as a normal deviate; None if the method has no test.
     lack_of_fit : tuple of LackOfFit
@@ -132,7 +133,7 @@ def with_scatter(fit: AxisFit, white: float, drift: float) -> AxisFit:
 def _predicted(estimate: Estimate, half: float) -> Estimate:
     """Return an estimate with its predictive interval, or with a larger upper limit.
 
-    ``half`` is half of the 95 % interval of the logarithm of the number in another hour.
+    ``half`` is half of the width of the 95 % interval of the logarithm in another hour.
     """
     value, interval, limit = estimate.value, estimate.recording_ci95, estimate.upper95
     if limit is not None:
