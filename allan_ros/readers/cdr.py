@@ -85,8 +85,8 @@ class DecodedImus:
     samples: NDArray[np.float64]  # (n, 6), in SI, in the order of `AXES`; NaN: sensor is absent
     frame_ids: list[str]  # the distinct frame_ids
     frames: NDArray[np.intp]  # (n,), index of the frame_id of each message
-    # sensor -> number of messages that declare the sensor absent although they contain valid data
-    # of the sensor, which are used
+    # sensor -> number of messages that declare the sensor absent, but contain valid data of the
+    # sensor; these data are used
     kept: dict[str, int] = field(default_factory=dict)
 
     def batches(self, record_ns: NDArray[np.int64]) -> Iterator[ImuBatch]:

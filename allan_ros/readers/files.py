@@ -3,7 +3,7 @@
 """Read and write files safely: regular files of limited size, atomic writing, and locks.
 
 Configuration files, such as datasheets (``sensors``) and plans for parameters of state estimators
-(``filters``), are given by path or by name. A name is searched in the folder of the user
+(``filters``), are given by path or by name. A name is looked up in the folder of the user
 (``~/.config/allan_ros/<kind>``, or under ``$XDG_CONFIG_HOME``), then in the package.
 """
 
@@ -49,11 +49,11 @@ def public(function: Callable[P, T]) -> Callable[P, T]:
             for text in value if isinstance(value, (tuple, list)) else (value,):
                 if not isinstance(text, PATH):
                     continue
-                shown, parts = f'{one_line(repr(text)):.60}', str(text).split('/')
+                shown_text, parts = f'{one_line(repr(text)):.60}', str(text).split('/')
                 if '\0' in str(text):
-                    raise AllanError(f'{shown} has a null character: give a name without it')
+                    raise AllanError(f'{shown_text} has a null character: give a name without it')
                 if max(len(part.encode(errors='replace')) for part in parts) > LONGEST_NAME:
-                    raise AllanError(f'{shown}: File name too long: check the path')
+                    raise AllanError(f'{shown_text}: File name too long: check the path')
         try:
             return function(*args, **given)
         except OSError as error:
@@ -107,10 +107,10 @@ def read_text(path: str | os.PathLike[str], limit: int) -> str:
     try:
         return read_bounded(path, limit).decode('utf-8')
     except OSError as error:
-        why = str(error.strerror).lower()
+        reason = str(error.strerror).lower()
     except UnicodeDecodeError as error:
-        why = f'it is not UTF-8 text: {error.reason} at byte {error.start}'
-    raise AllanError(f'{os.fspath(path)}: cannot be read ({why}): check the path')
+        reason = f'it is not UTF-8 text: {error.reason} at byte {error.start}'
+    raise AllanError(f'{os.fspath(path)}: cannot be read ({reason}): check the path')
 
 
 def _not_regular(path: str | os.PathLike[str]) -> AllanError:
@@ -345,15 +345,15 @@ def config_file(kind: str, name: str, called: str) -> Path:
 
 
 def config_folders(kind: str) -> list[Path]:
-    """Return the existing folders in which configuration files of a kind are searched, in order.
+    """Return the existing folders that may contain configuration files of a kind, in search order.
 
     The folder of the user (XDG Base Directory, 0.8) comes first. The folders ``config/<kind>`` of
     the source code and of the installed package follow.
     """
     home = os.environ.get('XDG_CONFIG_HOME') or Path('~/.config').expanduser()
-    here = Path(__file__).resolve()
-    folders = [Path(home) / 'allan_ros' / kind, here.parents[2] / 'config' / kind]
-    folders += [parent / 'share' / 'allan_ros' / 'config' / kind for parent in here.parents]
+    this_file = Path(__file__).resolve()
+    folders = [Path(home) / 'allan_ros' / kind, this_file.parents[2] / 'config' / kind]
+    folders += [parent / 'share' / 'allan_ros' / 'config' / kind for parent in this_file.parents]
     return [folder for folder in folders if folder.is_dir()]
 
 

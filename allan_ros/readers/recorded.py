@@ -290,15 +290,15 @@ def _no_data(job: ReadJob, topic: str, counts: Counts, findings: Sequence[Findin
     causes = [f for f in findings if f.id not in ('nothing_left', 'unit_assumed')]
     worst_severity = min((SEVERITIES.index(f.severity) for f in causes), default=0)
     worst_causes = tuple(f for f in causes if SEVERITIES.index(f.severity) == worst_severity)
-    why = ''
+    reason = ''
     if counts.skipped and counts.skipped == counts.received:
         worst_causes = ()
-        why = f' --skip {job.segmenter.skip:g} (s) excludes the complete recording: reduce it'
+        reason = f' --skip {job.segmenter.skip:g} (s) excludes the complete recording: reduce it'
     elif not worst_causes:
-        why = ' it is too short' if counts.received else ' it has no samples'
+        reason = ' it is too short' if counts.received else ' it has no samples'
     samples = f'{counts.received:,} sample' + 's' * (counts.received != 1)
     where = f'{job.path}: topic {topic}' if job.reading.accel_topic else job.path
-    return AllanError(f'{where}: no static data in {samples}:{why}', worst_causes)
+    return AllanError(f'{where}: no static data in {samples}:{reason}', worst_causes)
 
 
 def _share_a_segment(a: AllanSums, b: AllanSums) -> bool:

@@ -174,7 +174,9 @@ def _layout(path: Path, file: TextIO, options: ReadOptions) -> _Table:
         raise AllanError(f'{path}: is UTF-16 or not text: save the table as UTF-8')
     delimiter = next((mark for mark in '\t;,' if mark in QUOTED.sub('', line)), '')
     further_lines = (
-        other for other in lines if not other.startswith(COMMENT_MARK) and not other.isspace()
+        further_line
+        for further_line in lines
+        if not further_line.startswith(COMMENT_MARK) and not further_line.isspace()
     )
     rows = _split(chain([line], further_lines), delimiter)
     try:
@@ -411,5 +413,5 @@ def _date(text: str) -> int:
     minute = int(np.datetime64(match['minute'].replace(' ', 'T'), 'm').astype(np.int64))
     if match['sign']:
         minute -= int(f'{match["sign"]}1') * (60 * int(match['hours']) + int(match['minutes'] or 0))
-    part = f'{match["part"] or "":0<9}'[:9]
-    return (60 * minute + int(match['second'] or 0)) * 10**9 + int(part)
+    fraction = f'{match["part"] or "":0<9}'[:9]
+    return (60 * minute + int(match['second'] or 0)) * 10**9 + int(fraction)

@@ -120,7 +120,7 @@ class _Limited:
 
 
 def _label(data: Any, log: Any) -> str:
-    name_repeats = sum(other.name == data.name for other in log.data_list) > 1
+    name_repeats = sum(other_topic.name == data.name for other_topic in log.data_list) > 1
     return f'{data.name}:{data.multi_id}' if name_repeats else str(data.name)
 
 

@@ -23,9 +23,9 @@ from ..readers import Recording
 from .analysis import one_thread
 
 OPPOSITE = -0.3
-"""Coherence with the other IMUs below which an axis is said to point in the opposite direction. The
-coherence is 0 for independent noise, and positive for common noise of parallel axes. At some
-averaging time, the complete 95 % interval of the coherence must lie below this number."""
+"""An axis is reported to point in the opposite direction if the complete 95 % interval of its
+coherence with the other IMUs lies below this number at some averaging time. The coherence is 0 for
+independent noise, and positive for common noise of parallel axes."""
 
 
 @dataclass(frozen=True)
@@ -73,19 +73,21 @@ def common_of(recordings: Mapping[str, Recording], settings: SegmenterSettings) 
     findings: dict[str, tuple[Finding, ...]] = {}
     for label, recording in recordings.items():
         samples_of_imus.append({})
-        for part in filter(None, (recording, recording.accel)):
-            stream = ImuStream(settings, sensor=part.sensor, with_samples=True)
-            for batch in part.batches():
+        for topic_recording in filter(None, (recording, recording.accel)):
+            stream = ImuStream(settings, sensor=topic_recording.sensor, with_samples=True)
+            for batch in topic_recording.batches():
                 stream.update(batch)
             stream.end()
             result = stream.result()
             all_findings = (
-                *part.findings,
+                *topic_recording.findings,
                 *result.findings,
                 *chain(*map(sums_findings, result.sums)),
             )
             relevant_findings = (
-                f for f in all_findings if not f.axes or not {*f.axes}.isdisjoint(part.axes)
+                f
+                for f in all_findings
+                if not f.axes or not {*f.axes}.isdisjoint(topic_recording.axes)
             )
             findings[label] = tuple(dict.fromkeys((*findings.get(label, ()), *relevant_findings)))
             samples_of_imus[-1].update(

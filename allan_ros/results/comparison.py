@@ -115,14 +115,14 @@ def compare_runs(
     """
     runs = {one_line(label): results for label, results in runs.items()}
     (first, reference), *others = runs.items()
-    for label, other in others:
-        if not set(reference.axes) & set(other.axes):
+    for label, other_results in others:
+        if not set(reference.axes) & set(other_results.axes):
             raise AllanError(
-                f'no common axis: {label} has {", ".join(other.axes)}, '
+                f'no common axis: {label} has {", ".join(other_results.axes)}, '
                 f'{first} has {", ".join(reference.axes)}'
             )
     checks_of_others = differences(
-        (first, reference.measured, other.measured) for _, other in others
+        (first, reference.measured, other_results.measured) for _, other_results in others
     )
     checked = (
         (label, results.against_datasheet(sheet, margin))
@@ -182,7 +182,7 @@ class Inflation:
     ----------
     axes : mapping of axis to term to Check
         Comparison of N and K with motors on (`Check.measured`) with N and K with motors off
-        (`Check.limit`). These N and K are parameters of a state estimator. They cover the growth of
+        (`Check.limit`). These N and K are parameters of a state estimator: they cover the growth of
         its error up to ``horizon``.
     comparison : RunComparison
         Comparison of the recording with motors on with the recording with motors off. It contains

@@ -229,18 +229,18 @@ def exceeds_limit(check: Check, margin: float, axes: tuple[str, ...]) -> Finding
         Axes to which the finding applies.
     """
     is_term, measured = check.tau is None, check.measured
-    kind = (sensor_of(check.axis), check.quantity if is_term else 'B')
+    sensor_and_term = (sensor_of(check.axis), check.quantity if is_term else 'B')
     value = None
     if is_term and measured.value is not None:
-        value = quantity(measured.value, *kind, measured.ci95)
+        value = quantity(measured.value, *sensor_and_term, measured.ci95)
     return finding(
         'exceeds_limit',
         axes,
         term=check.quantity if is_term else 'The Allan deviation',
         tau=check.tau,
         value=value,
-        least=None if value else quantity(check.at_least * check.limit, *kind),
-        limit=quantity(check.limit, *kind),
+        least=None if value else quantity(check.at_least * check.limit, *sensor_and_term),
+        limit=quantity(check.limit, *sensor_and_term),
         reference=check.reference,
         margin=margin,
     )
@@ -254,12 +254,12 @@ def below_typical(check: Check, axes: tuple[str, ...]) -> Finding | None:
     ratio_ci95 = check.ratio.ci95 if check.ratio.resolved else None
     if check.quantity != 'N' or ratio_ci95 is None or not 0.0 < ratio_ci95[1] * BELOW < 1.0:
         return None
-    kind, value = (sensor_of(check.axis), 'N'), check.measured.value
+    sensor_and_term, value = (sensor_of(check.axis), 'N'), check.measured.value
     return finding(
         'below_typical',
         axes,
-        value=quantity(value, *kind, check.measured.ci95),
-        limit=quantity(check.limit, *kind),
+        value=quantity(value, *sensor_and_term, check.measured.ci95),
+        limit=quantity(check.limit, *sensor_and_term),
         times=check.limit / value if value else None,
         reference=check.reference,
     )
@@ -394,7 +394,7 @@ def _limits(fields: Fields, sensor: str, sources: Collection[str]) -> dict[str, 
 
 
 def _quantity(fields: Fields, unit: str, sources: Collection[str], meaning: str = '') -> Limit:
-    """Return an object with the keys value, unit, condition and source as a limit in SI.
+    """Convert an object with the keys value, unit, condition and source to a limit in SI.
 
     ``unit`` is the SI unit of the limit. ``meaning`` is a key of `MEANINGS` that the object must
     contain in addition; '' for none. Raises AllanError if the object is invalid.

@@ -63,8 +63,10 @@ WRITTEN_SEGMENTS = 1000
 of all segments is stated in addition."""
 
 FIT = ('m_min', 'filtered', 'white_scatter', 'drift_scatter', 'gof_z', 'lack_of_fit')
+"""Fields of `AxisFit` that have the same name in results.json."""
+
 AXIS = ('rounding', 'turn_on', 'temperature', 'at_rest', 'growth')
-"""Fields of `AxisFit` and of `AxisResult` that have the same name in results.json."""
+"""Fields of `AxisResult` that have the same name in results.json."""
 
 DOCUMENT_KEYS = {
     'correlation_time': 'tau',
@@ -402,15 +404,17 @@ def _model_to_document(model: Model) -> list[dict[str, Any]]:
 
 
 def _part_from_document(fields: Fields) -> Part:
-    kind = PROCESSES[fields.choice('process', tuple(PROCESSES))]
-    shape = [fields.number(p.name, least=SHORTEST_PERIOD_S) for p in kind.parameters]
-    value = fields.number('value', -math.inf if kind.is_regressor else 0.0)
+    process_class = PROCESSES[fields.choice('process', tuple(PROCESSES))]
+    shape = [fields.number(p.name, least=SHORTEST_PERIOD_S) for p in process_class.parameters]
+    value = fields.number('value', -math.inf if process_class.is_regressor else 0.0)
     shape_ci95 = fields.typed('shape_ci95', tuple[tuple[float, float], ...])
     if len(shape_ci95) not in (0, len(shape)):
         raise AllanError(
             f'{fields.where}.shape_ci95 has {len(shape_ci95)} intervals: give {len(shape)}'
         )
-    return Part(kind(*shape), value, fields.typed('ci95', tuple[float, float] | None), shape_ci95)
+    return Part(
+        process_class(*shape), value, fields.typed('ci95', tuple[float, float] | None), shape_ci95
+    )
 
 
 def _scaled(coefficient: Estimate, factor: float) -> float | None:

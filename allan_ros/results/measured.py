@@ -84,12 +84,12 @@ def measured_check_text(check: Check) -> str:
     low, high = check.measured.ci95 or (math.nan, math.nan)
     numbers = (check.measured.value, low, high, check.lower, check.upper)
     known_numbers = (math.nan if number is None else number for number in numbers)
-    value, low_text, high_text, least, most, unit = _texts(
+    value, low_text, high_text, lowest, highest, unit = _texts(
         check.axis, check.quantity, *known_numbers
     )
     return (
         f'{check.axis} {check.quantity} {CHANGE_WORDS[check.verdict]}: {value} '
-        f'({low_text}..{high_text}) {unit}, {check.reference}: {least}..{most}'
+        f'({low_text}..{high_text}) {unit}, {check.reference}: {lowest}..{highest}'
     )
 
 

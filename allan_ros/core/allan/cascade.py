@@ -51,7 +51,8 @@ a shock, is excluded. The fit takes the interpolated samples in other blocks int
 
 _KEPT = 32
 """Number of points of the previous blocks that a level keeps. The longest second difference needs
-2 * `LEVEL_FACTORS`[-1] - 1 = 27 earlier points; a multiple of 8 aligns all axes in memory."""
+2 * `LEVEL_FACTORS`[-1] - 1 = 27 earlier points. As 32 is a multiple of 8, all axes are aligned in
+memory."""
 
 _work, _samples = WorkMemory(), WorkMemory()
 
@@ -274,11 +275,11 @@ class _RunningLevel:
                 _group_sums(samples, block[-1], group, before)
                 for group, before in zip(level.groups, self.halves)
             ]
-        values = [*squares, *group_squares, *(each.power for each in spectra)]
+        values = [*squares, *group_squares, *(s.power for s in spectra)]
         counts = [*numbers, *(b for s in spectra for b in s.blocks)]
         counts += [p for s in spectra for p in s.pairs]
         sums = LevelSums(self.level, np.concatenate(values), np.array(counts, np.int64))
-        return sums, [each.last for each in spectra]
+        return sums, [s.last for s in spectra]
 
 
 def _group_sums(

@@ -123,8 +123,8 @@ def _packed(values: NDArray[Any]) -> str:
     The lowest bytes of all numbers come first, then the second bytes of all numbers, and so on.
     This order compresses better, in particular if the lowest bytes are 0 (see `rounded`).
     """
-    kind = '<f8' if values.dtype.kind == 'f' else '<i8'
-    data = np.ascontiguousarray(values, kind).view(np.uint8).reshape(-1, 8)
+    dtype = '<f8' if values.dtype.kind == 'f' else '<i8'
+    data = np.ascontiguousarray(values, dtype).view(np.uint8).reshape(-1, 8)
     return base64.b64encode(zlib.compress(data.T.tobytes(), 9)).decode('ascii')
 
 

@@ -42,8 +42,8 @@ LARGEST_LEAK = 0.1
 sensors are treated as equal. With this share, the measured own N of a sensor is 5 % too large."""
 
 LEAST_CONTRAST = 0.5
-"""Least standard deviation of the common power over the frequencies, relative to the mean of the
-common power, for which the ratio of the factors of two sensors can be determined."""
+"""The ratio of the factors of two sensors is determined only if the power of the common signal
+varies with the frequency: its standard deviation must be at least this share of its mean."""
 
 
 class Transfer(NamedTuple):

@@ -154,7 +154,7 @@ class Model:
         end : int
             0 for the lower ends of the intervals, 1 for the upper ends.
         scatter : float
-            Half of the 95 % interval of the logarithm of the amplitude of the drift in another hour
+            Half-width of the 95 % interval for the logarithm of the drift amplitude in another hour
             (`AxisFit.drift_scatter`). This scatter widens the intervals of drift processes.
         """
 

@@ -71,7 +71,7 @@ class States(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Search:
-    """Range of the shapes of processes that the data of a fit can tell apart.
+    """Properties of the data of a fit, which limit the shapes of the processes in a search.
 
     The time unit is the sample period.
 
@@ -187,10 +187,10 @@ class Process:
 
     @property
     def density_at_zero(self) -> float:
-        """Two-sided power spectral density at 0 Hz of a resonance, for the coefficient 1.
+        """Two-sided power spectral density at 0 Hz of a resonance with the coefficient 1.
 
-        The integral of a resonance grows like the integral of white noise of this density. The unit
-        of the density is the unit of time of the shape. The result is 0 for all other processes.
+        The integral of a resonance grows like the integral of white noise of this density. The
+        density is in the unit of time of the shape. The result is 0 for all other processes.
         """
         return 0.0
 
@@ -300,7 +300,7 @@ class Process:
         )
 
     def in_samples(self, coefficient: float, tau0: float) -> float:
-        """Return an SI coefficient in units in which the sample period is the unit of time."""
+        """Convert a coefficient from SI to units in which the sample period is the unit of time."""
         return coefficient * math.pow(tau0, -self.time_power)
 
     def variance_of(self, coefficient: float, tau0: float) -> float:

@@ -46,8 +46,8 @@ class BoundedWalk(Process):
         return {'tau': self.correlation_time}
 
     def states(self) -> States:
-        time, one = self.correlation_time, np.ones((1, 1))
-        return States(-one / time, one, np.ones(1), time / 2.0 * one)
+        time, identity = self.correlation_time, np.ones((1, 1))
+        return States(-identity / time, identity, np.ones(1), time / 2.0 * identity)
 
     @classmethod
     def grid(cls, search: Search) -> Iterator[Process]:
