@@ -81,7 +81,7 @@ class MalformedMessage(Exception):
 class DecodedImus:
     """The content of n Imu messages."""
 
-    stamps_ns: NDArray[np.int64]  # (n,)
+    stamps_ns: NDArray[np.int64]  # (n,), header stamps in ns
     samples: NDArray[np.float64]  # (n, 6), in SI, in the order of `AXES`; NaN: sensor is absent
     frame_ids: list[str]  # the distinct frame_ids
     frames: NDArray[np.intp]  # (n,), index of the frame_id of each message
