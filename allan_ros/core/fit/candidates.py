@@ -39,7 +39,7 @@ a smaller share, the candidate cannot be told from these components."""
 class Moments(NamedTuple):
     """Derivatives of the log likelihood with respect to the coefficients of candidates, at zero."""
 
-    score: Floats  # (candidates,) first derivatives
+    score: Floats  # (candidates,) first derivatives of the log likelihood
     information: Floats  # (candidates,) Fisher information
     # Fisher information between candidates and components of the fit, (candidates, components)
     shared: Floats

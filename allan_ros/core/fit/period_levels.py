@@ -30,7 +30,7 @@ TOP_OCTAVES = 3
 """Number of the highest octaves, in which the level of the white noise is measured."""
 
 SINUSOID_RATIO = 1.5
-"""Largest ratio of the power of a bin to the median power of the bins in this octave. A bin with a
+"""Largest ratio of the power of a bin to the median power of all bins of its octave. A bin with a
 larger ratio is assumed to contain a sinusoid."""
 
 SPREAD_DOF = 0.3

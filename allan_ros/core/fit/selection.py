@@ -70,7 +70,9 @@ class Selection:
     Attributes
     ----------
     data : AxisData
+        Statistics of the axis.
     candidates : Candidates
+        Processes that may be added.
     base : tuple of Process
         Components that every model contains.
     signed : tuple of int
