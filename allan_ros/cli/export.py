@@ -30,6 +30,7 @@ from ..results.from_datasheet import DEFAULT_RATE_HZ, results_of_datasheet
 from ..results.measured import measured_entry, measured_lines
 from ..results.plan import plan_text
 from ..view.finding_text import finding_document, finding_line
+from ..view.table import GAP
 from .console import Console, width, wrapped
 from .options import Command, Option, Settings, settings_of
 
@@ -87,9 +88,6 @@ def run(args: argparse.Namespace) -> int:
         console.say(finding_line(finding))
     return 0
 
-
-COLUMN_GAP = 2
-"""Number of spaces between two columns."""
 
 SEEN = {
     'datasheet': 'read in the document itself:',
@@ -149,8 +147,8 @@ def list_lines(sheets: Mapping[str, Datasheet], columns: int) -> Iterator[str]:
                 significant(max(limits) / UNITS[unit].factor, LIMIT_DIGITS) if limits else '-'
             )
         rows.append(row)
-    widths = [max(map(len, column)) + COLUMN_GAP for column in zip(*rows)]
-    shown_columns = sum(sum(widths[: n + 1]) - COLUMN_GAP <= columns for n in range(len(widths)))
+    widths = [max(map(len, column)) + GAP for column in zip(*rows)]
+    shown_columns = sum(sum(widths[: n + 1]) - GAP <= columns for n in range(len(widths)))
     for row in rows:
         yield ''.join(f'{cell:{w}}' for cell, w in zip(row[:shown_columns], widths)).rstrip()
     yield ''

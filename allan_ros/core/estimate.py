@@ -8,10 +8,10 @@ import math
 from dataclasses import dataclass, replace
 from typing import Annotated, Any, Literal
 
-from .fields import MAX_FLOAT, Fields
+from .fields import Fields
 from .imu import UNITS, ShownUnit, to_si
 from .number_text import LIMIT_DIGITS, VALUE_DIGITS, significant
-from .settings import expect
+from .settings import MAX_FLOAT, expect
 
 Ends = tuple[float, float]
 """Ends of an interval: (low, high)."""
@@ -27,6 +27,11 @@ A one-sided limit alone would need only 1.645, the quantile of 95 %. But the sam
 whether a term gets an interval or an upper limit. With one quantile for both, an upper limit is the
 upper end of an interval that begins at 0, and the probability of missing the true value is the same
 for both. Feldman & Cousins (Phys. Rev. D 57, 1998) unify intervals and limits in the same way."""
+
+RESOLVED_HALF_WIDTHS = 2.58 / Z_95
+"""Least magnitude of a number that can be negative, in half widths of its 95 % interval, for the
+number to be resolved: false alarms of 1 % (two-sided). Measured for R: 1.0 % of 900 axes without
+R."""
 
 NOTHING_KNOWN = '-'
 """Text for a number with neither a value nor a limit."""

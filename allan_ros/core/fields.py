@@ -19,14 +19,12 @@ from numpy.typing import NDArray
 
 from .errors import AllanError, one_line
 from .imu import to_si
+from .settings import MAX_FLOAT
 
 T = TypeVar('T')
 
 MAX_INTEGER = 2**62
 """Largest magnitude of counts and stamps: the sum of two such numbers fits into 64 bits."""
-
-MAX_FLOAT = 1e150
-"""Largest magnitude of a number in a document: its square is a finite float64."""
 
 MAX_TEXT = 100_000
 """Largest number of characters in a text, unless the reader of a key gives a smaller limit."""

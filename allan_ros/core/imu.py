@@ -310,6 +310,10 @@ STAMP_UNITS = {
 }  # fmt: skip
 """Unit of a stamp -> its size in nanoseconds."""
 
+EPOCH_S = (9.4e8, 4.2e9)
+"""Range of stamps in s that are recognized as times since 1970: the years 1999 to 2103. Smaller
+stamps count from the start of a machine or a simulation."""
+
 
 def even_stamps(first: int, count: int, rate: float) -> NDArray[np.int64]:
     """Return the stamps in ns of evenly spaced samples, (count,).

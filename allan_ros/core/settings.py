@@ -156,8 +156,9 @@ class CheckedSettings:
 SLOWEST_HZ = 1e-6
 """Smallest accepted sample rate in Hz: one sample in 11.6 days."""
 
-LARGEST_SETTING = 1e150
-"""Largest magnitude of a setting: its square is a finite float64."""
+
+MAX_FLOAT = 1e150
+"""Largest magnitude of a number in a document or of a setting: its square is a finite float64."""
 
 
 def check_range(low: float | None, high: float | None, unit: str = '', /, **values: object) -> None:
@@ -174,8 +175,8 @@ def check_range(low: float | None, high: float | None, unit: str = '', /, **valu
     """
     for name, value in values.items():
         expect(Real, **{name: value})
-        least = -LARGEST_SETTING if low is None else low
-        most = LARGEST_SETTING if high is None else high
+        least = -MAX_FLOAT if low is None else low
+        most = MAX_FLOAT if high is None else high
         if not least <= value <= most:  # type: ignore[operator]
             limits = 'be finite'
             if low is not None:

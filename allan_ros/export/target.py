@@ -11,13 +11,10 @@ from numbers import Real
 from typing import Any, NamedTuple
 
 from ..core.errors import AllanError, one_line
-from ..core.filters.reductions import FilterLevel
+from ..core.filters.reductions import HORIZON_S, FilterLevel
 from ..core.findings import Finding
 from ..core.imu import SENSORS
 from ..core.settings import CheckedSettings, check_range, parameter
-
-VIO_HORIZON_S = 30.0
-"""Longest time in s that a state estimator integrates between corrections by a camera or lidar."""
 
 INS_HORIZON_S = 100.0
 """Longest time in s that a state estimator integrates between corrections by GNSS with outages."""
@@ -243,7 +240,7 @@ class Target:
     rows: Callable[[Any], Iterable[Row]] | None = None
     three: bool = False  # whether the file has three numbers, x, y and z; else one, the largest
     rate_hz: float | None = None  # fixed rate of the estimator in Hz; None if it is the sample rate
-    horizon_s: float = VIO_HORIZON_S  # default of `ExportOptions.horizon` in s
+    horizon_s: float = HORIZON_S  # default of `ExportOptions.horizon` in s
     # whether the target models the bias as a random walk, so that N and K are adjusted together
     walk: bool = True
     # whether the numbers bound the error growth from above, as a state estimator needs; if False,

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.errors import AllanError
-from ..core.imu import AXES, SAMPLE_SI, SAMPLE_UNITS, SENSORS, STAMP_UNITS, UNITS
+from ..core.imu import AXES, EPOCH_S, SAMPLE_SI, SAMPLE_UNITS, SENSORS, STAMP_UNITS, UNITS
 from .recording import ReadOptions
 from .unit_names import (
     NO_UNITS,
@@ -199,9 +199,6 @@ class ColumnLayout:
         assumed = unit if not stated and not by_size and is_doubtful else ''
         return replace(self, stamp=((column, STAMP_UNITS[unit]),), time_unit=assumed)
 
-
-EPOCH_S = (9.4e8, 4.2e9)
-"""Range of stamps in s that are recognized as times since 1970: the years 1999 to 2103."""
 
 SHORTEST_NS, LONGEST_NS = 1e4, 1e12
 """Range of sample periods in ns that are plausible for an IMU."""

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from ..core.allan.sums import AllanSums, add_sums
 from ..core.errors import AllanError
 from ..core.findings import SEVERITIES, Finding, finding
-from ..core.imu import MAX_NAME, NANOSECONDS, SENSORS, ImuIdentity, sensor_of
+from ..core.imu import EPOCH_S, MAX_NAME, NANOSECONDS, SENSORS, ImuIdentity, sensor_of
 from ..core.settings import SegmenterSettings
 from ..core.stream.drive_recorder import NO_DRIVES, Drives
 from ..core.stream.health import Counts, Event, Segment
@@ -33,9 +33,6 @@ from ..core.stream.pipeline import ImuStream
 from ..core.stream.signal import SignalEnvelope, TemperatureTrace
 from . import open_recordings
 from .recording import ReadOptions, Recording, SourceInfo
-
-EARLIEST_S = 978_307_200
-"""2001-01-01 in s since 1970. Smaller stamps count from the start of a machine or a simulation."""
 
 
 @dataclass(frozen=True)
@@ -75,7 +72,7 @@ class Provenance:
     def start(self) -> datetime | None:
         """Time of the first sample in UTC; None if the stamps do not count from 1970."""
         start_s = min((s.start_ns for s in self.segments), default=0) // NANOSECONDS
-        return datetime.fromtimestamp(start_s, timezone.utc) if start_s >= EARLIEST_S else None
+        return datetime.fromtimestamp(start_s, timezone.utc) if start_s >= EPOCH_S[0] else None
 
     def with_accel(self, accel: Provenance) -> Provenance:
         """Return the combined provenance of a gyro topic and its accelerometer topic.

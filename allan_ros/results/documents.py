@@ -33,7 +33,7 @@ from ..core.imu import AXES, SENSORS, SI_UNITS, ImuIdentity, sensor_of
 from ..core.noise import PROCESSES, Model, Part
 from ..core.noise.model import Covariance
 from ..core.settings import expect
-from ..core.stream.health import Counts, Segment
+from ..core.stream.health import LISTED_SEGMENTS, Counts, Segment
 from ..readers import SourceInfo
 from ..readers.files import PATH, read_json, to_json
 from ..readers.recorded import Provenance, RecordingSums
@@ -57,10 +57,6 @@ SHORTEST_PERIOD_S, LONGEST_PERIOD_S = 1e-9, 1e9
 
 MAX_SETTINGS = 100
 """Largest number of settings in a document, and of items in a setting that is a list."""
-
-WRITTEN_SEGMENTS = 1000
-"""Largest number of segments that a document lists: the longest segments, longest first. The number
-of all segments is stated in addition."""
 
 FIT = ('m_min', 'filtered', 'white_scatter', 'drift_scatter', 'gof_z', 'lack_of_fit')
 """Fields of `AxisFit` that have the same name in results.json."""
@@ -247,7 +243,7 @@ def labels_of(paths: Sequence[str]) -> list[str]:
 
 
 def _provenance_to_document(provenance: Provenance) -> dict[str, Any]:
-    longest_segments = sorted(provenance.segments, key=lambda s: -s.samples)[:WRITTEN_SEGMENTS]
+    longest_segments = sorted(provenance.segments, key=lambda s: -s.samples)[:LISTED_SEGMENTS]
     return {
         'source': plain(provenance.sources),
         'segments': plain(longest_segments),

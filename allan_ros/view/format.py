@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.estimate import value_text
+from ..core.estimate import RESOLVED_HALF_WIDTHS, value_text
 from ..core.fit.result import Deviation
 from ..core.fit.temperature import TemperatureModel
 from ..core.imu import ShownUnit, shown_unit
@@ -44,10 +44,6 @@ NO_BREAK = '\N{NO-BREAK SPACE}'
 READ_AT = {'Q': math.sqrt(3.0), 'N': 1.0, 'K': 3.0, 'R': math.sqrt(2.0)}
 """Term -> averaging time in s at which the Allan deviation of the term equals its coefficient in SI
 (IEEE Std 952)."""
-
-RESOLVED_HALF_WIDTHS = 2.58 / 1.96
-"""The hysteresis of the bias is stated if it exceeds this number of half widths of its 95 %
-interval, so that it is significant at the two-sided 1 % level."""
 
 
 def pretty_unit(name: str) -> str:

@@ -26,8 +26,8 @@ DRIFT_BLOCKS = 16
 """Largest number of means of equal length, over all recordings, from which the drift is
 computed."""
 
-LEAST_SLOPE_RANGE_K = 3.0
-"""Smallest range of temperatures in K for which a slope over temperature is computed."""
+LEAST_RANGE_K = 3.0
+"""Range of the temperature in K below which its effect on the samples is not estimated."""
 
 HALF_POWER = 0.5
 """Power at the upper end of the bandwidth, relative to the power of white noise (-3 dB)."""
@@ -216,7 +216,7 @@ def _slope(celsius: Floats, values: Floats) -> Estimate | None:
     the measured correlation of neighboring residuals.
     """
     n = len(celsius)
-    if n < 4 or float(np.ptp(celsius)) < LEAST_SLOPE_RANGE_K:
+    if n < 4 or float(np.ptp(celsius)) < LEAST_RANGE_K:
         return None
     x, y = celsius - celsius.mean(), values - values.mean()
     slope = float(x @ y / (x @ x))

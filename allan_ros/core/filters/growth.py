@@ -24,6 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..estimate import Z_95, Estimate
 from ..fit.result import AxisFit
+from ..imu import HOUR
 from ..noise import Model, Process
 from ..noise.derived import growth_variance
 from ..noise.model import CONTINUOUS
@@ -36,9 +37,6 @@ finite numbers only."""
 
 LARGEST_LOG = 100.0
 """Largest logarithm of the ratio between an estimate and an end of its interval."""
-
-HOUR = 3600.0
-"""Duration of an hour in s."""
 
 INDEPENDENT = 2.0
 """Assumed number of independent errors in a time h + W, where h is the prediction horizon and W the

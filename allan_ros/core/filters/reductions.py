@@ -36,7 +36,8 @@ States = Literal['none', 'walk', 'processes']
 and all other processes that have states ('processes')."""
 
 HORIZON_S = 30.0
-"""Longest horizon in s by default."""
+"""Longest horizon in s by default: a state estimator that is corrected by a camera or a lidar
+integrates for at most this time between two corrections."""
 
 HORIZONS_PER_RANGE = 30
 """Number of horizons at which the predicted errors of two models are compared."""

@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..estimate import Z_95, Estimate, Status
+from ..estimate import RESOLVED_HALF_WIDTHS, Z_95, Estimate, Status
 from ..noise import RANDOM_TERMS, Model, Part, Process
 from ..noise.model import Covariance
 from ..noise.process import GAIN_RESOLVED
@@ -34,10 +34,6 @@ from .likelihood import (
     ramp_estimate,
 )
 from .result import AxisFit, Floats, K, Q
-
-RAMP_RESOLVED = 2.58 / 1.96
-"""Least |R|, relative to half of the width of its 95 % interval, for R to be resolved: false alarms
-of 1 % (two-sided). Measured: 1.0 % of 900 axes without R."""
 
 UNKNOWN = Estimate(None, status='not_observable')
 """A coefficient with neither a value nor a limit."""
@@ -168,7 +164,7 @@ def _ramp(ramp: RampEstimate | None) -> Estimate:
     if ramp is None:
         return UNKNOWN
     size, half_width = abs(ramp.value), ramp.half_width
-    if size > RAMP_RESOLVED * half_width:
+    if size > RESOLVED_HALF_WIDTHS * half_width:
         found = Estimate(size, (max(size - half_width, 0.0), size + half_width))
     else:
         limit = size + half_width if math.isfinite(half_width) else None

@@ -18,6 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..allan.at_rest import LEAST_RANGE_K
 from ..allan.sums import AllanSums
 from ..estimate import Estimate
 from ..fields import Signed
@@ -34,9 +35,6 @@ from .statistics import Floats, Ints, statistics
 TEMPERATURE_RESOLVED = 0.01
 """The bias of an axis depends on temperature if the probability of the F test of b1 and b2 is below
 this value."""
-
-LEAST_RANGE_K = 3.0
-"""Least range of the temperature within a recording, in K, for which a model is fitted."""
 
 LEAST_RETURN = 1.0 / 3.0
 """Share of the temperature range by which the temperature must rise and also fall. Otherwise, the

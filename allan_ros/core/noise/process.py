@@ -16,6 +16,8 @@ from typing import ClassVar, Literal, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..settings import MAX_FLOAT
+
 Floats = NDArray[np.float64]
 Gamma = Callable[[ArrayLike, ArrayLike], Floats]
 """Function gamma(M, j), such as `Process.gamma`. Its arguments broadcast."""
@@ -29,10 +31,6 @@ bounded random walk on 0.7 % of 2100 axes, a sinusoid or a resonance on none."""
 GAIN_RESOLVED = 5.41
 """Least decrease of -2 log L from a coefficient of 0 to its estimate for which a term is resolved.
 The value is 2.326^2, for false alarms of 1 % (one-sided). Measured: 1.0 % for B and for K."""
-
-LARGEST_NUMBER = 1e150
-"""Larger coefficients are reduced to this number before they are squared. Documents may contain
-coefficients whose squares overflow."""
 
 LEAST_PERIODS = 3.0
 """Fewest periods of a sinusoid or resonance in the longest segment. A process with fewer periods
@@ -308,7 +306,7 @@ class Process:
 
         ``coefficient`` is in SI, and ``tau0`` is the sample period in s.
         """
-        return min(abs(self.in_samples(coefficient, tau0)), LARGEST_NUMBER) ** 2
+        return min(abs(self.in_samples(coefficient, tau0)), MAX_FLOAT) ** 2
 
     def coefficient_of(self, variance: float, tau0: float) -> float:
         """Return the SI coefficient for a factor ``variance`` of gamma; 0 for a negative factor."""

@@ -15,6 +15,7 @@ import numpy as np
 from ..findings import Finding, finding
 from ..imu import (
     AXES,
+    EPOCH_S,
     LARGEST,
     NANOSECONDS,
     STAMP_UNITS,
@@ -45,9 +46,6 @@ DISORDERED_SHARE = 0.25
 """If more than this share of the stamps are earlier than the previous stamp after sorting over
 `REORDER` places, the stamps are not used."""
 
-STAMP_EPOCH_S = (1e9, 4e9)
-"""Range of plausible stamps in s since 1970: the years 2001 to 2096."""
-
 SLOWEST_S = 0.1
 """Longest sample period, in s, for which the unit of the stamps is recognized."""
 
@@ -65,7 +63,7 @@ MOST_COVERED = 256
 def unit_of_stamps(stamps: Stamps) -> str:
     """Return the unit of integer stamps, (n,): 'us', 'ms' or 'ns'.
 
-    It is 'us' or 'ms' if the stamps are in the range `STAMP_EPOCH_S` in this unit and their median
+    It is 'us' or 'ms' if the stamps are in the range `EPOCH_S` in this unit and their median
     step is at most `SLOWEST_S`. Otherwise, it is 'ns'.
 
     >>> import numpy as np
@@ -75,7 +73,7 @@ def unit_of_stamps(stamps: Stamps) -> str:
     step = np.median(np.abs(np.diff(stamps))) if len(stamps) > 1 else 0
     for unit in ('us', 'ms'):
         ticks_per_second = NANOSECONDS // STAMP_UNITS[unit]
-        low, high = (limit * ticks_per_second for limit in STAMP_EPOCH_S)
+        low, high = (limit * ticks_per_second for limit in EPOCH_S)
         if low <= stamps.min() and stamps.max() < high and 0 < step <= SLOWEST_S * ticks_per_second:
             return unit
     return 'ns'

@@ -14,7 +14,7 @@ from collections import deque
 import numpy as np
 
 from ..imu import Flags, Floats, ImuBatch, joined
-from .noise_floor import LEAST_WINDOW, MAD_TO_SIGMA, NoiseFloor, WindowClass, Windows
+from .noise_floor import LEAST_WINDOW, MAD_TO_SIGMA, TILT, NoiseFloor, WindowClass, Windows
 
 SPIKE_SIGMAS = 7.0
 """An isolated sample is a spike if it deviates from the median of its window by more than this
@@ -36,9 +36,6 @@ LEVEL_WINDOWS, LEAST_LEVEL = 4, 2
 LEVEL_SIGMAS = 5.0
 """A difference between the means before and after a motion is attributed to noise unless it exceeds
 this number of standard deviations of the difference."""
-
-TURNED = 0.035
-"""Largest angle in rad (2 degrees) by which an IMU may turn during a shock."""
 
 CHANGED_DIRECTION, NO_ROTATION = np.radians(30.0), np.radians(6.0)
 """Angles in rad. The axes of the accelerometer have changed if the measured direction of gravity
@@ -221,7 +218,7 @@ class Motion:
         block = joined(held[: 1 - self.quiet])
         n = len(block)
         most_replaced = REPLACED_SHOCK_SHARE * self.level.rest - self.level.replaced
-        if np.linalg.norm(turned_rad) > TURNED or n > most_replaced:
+        if np.linalg.norm(turned_rad) > TILT or n > most_replaced:
             return []
         fraction = np.arange(1, n + 1) / (n + 1)
         rows = first_mean[:, None] + (last_mean - first_mean)[:, None] * fraction

@@ -103,9 +103,9 @@ INCREASE_SPECTRUM = 0.5
 floor, or of white noise if that ratio is smaller. The ratio of a motion is smaller, because a
 motion has low frequencies."""
 
-SAME_DIRECTION = 0.035
-"""Largest change of the measured gravity vector, relative to its magnitude, of an IMU that did not
-tilt (2 degrees)."""
+TILT = 0.035
+"""Largest angle in rad (2 degrees) between the directions of gravity at two times, relative to the
+sensor, for which the IMU counts as not tilted. It is also the relative change of the vector."""
 
 
 LEAVE_RATIO = 0.8
@@ -551,7 +551,7 @@ class NoiseFloor:
         with np.errstate(invalid='ignore', divide='ignore'):
             unit = self.changed_unit(np.sqrt(median_variance / scale))
         rates = np.inf if unit else self.rate_limit
-        largest_change = np.where(self.gyro, rates, SAME_DIRECTION * gravity) + white_step
+        largest_change = np.where(self.gyro, rates, TILT * gravity) + white_step
         return not bool((change > largest_change).any())
 
     def classify(
