@@ -99,8 +99,12 @@ class Segment:
         if means.samples * tau0 < LEAST_TESTED_S:
             return None
         points, step, octaves = len(means.values), means.step, known.octaves
-        numbers = ((o, 2.0 * points * step * lower_edge(o)) for o in range(octaves + 1))
-        kept_octaves = min((o for o, n in numbers if n <= MOST_CONTRASTS), default=octaves)
+        numbers_of_contrasts = (
+            (o, 2.0 * points * step * lower_edge(o)) for o in range(octaves + 1)
+        )
+        kept_octaves = min(
+            (o for o, n in numbers_of_contrasts if n <= MOST_CONTRASTS), default=octaves
+        )
         possible_contrasts = int(2.0 * points * step * lower_edge(kept_octaves))
         size = Size(points, max(min(possible_contrasts, MOST_CONTRASTS, points - 2), 2))
         z = means.values.T @ contrasts(size)

@@ -66,19 +66,19 @@ def fit_paper(sums: AllanSums) -> NoiseModel:
         if points >= len(TERMS):
             a = (np.linalg.pinv(columns / scale) / scale[:, None]) @ sums.group_avar[is_fitted, i]
         axes[axis] = _axis_fit(a / PAPER_FACTORS, sign)
-        negative = ', '.join(term for term, value in zip(TERMS, a) if value < 0.0)
-        if negative:
-            findings.append(finding('negative_coefficient', (axis,), terms=negative))
+        negative_terms = ', '.join(term for term, value in zip(TERMS, a) if value < 0.0)
+        if negative_terms:
+            findings.append(finding('negative_coefficient', (axis,), terms=negative_terms))
     return NoiseModel('paper', tau0, axes, tuple(findings))
 
 
 def _signs_of_ramps(sums: AllanSums) -> list[int]:
     """Return the sign of the least-squares slope of the block means, for each axis."""
-    total = np.zeros(len(sums.axes))
+    slopes = np.zeros(len(sums.axes))
     for means in (m for r in sums.recordings for m in r.means):
         t = np.arange(len(means.values)) - (len(means.values) - 1) / 2.0
-        total += t @ means.values
-    return [int(sign) for sign in np.sign(total)]
+        slopes += t @ means.values
+    return [int(sign) for sign in np.sign(slopes)]
 
 
 def _axis_fit(squares: Floats, sign: int) -> AxisFit:

@@ -80,17 +80,17 @@ def recommended_duration(
     n = fit.noise['N'].value
     if fit.noise['N'].status != 'estimated' or not n:
         return (SECONDS_FOR_N, ('N',)) if seconds < SECONDS_FOR_N else None
-    needed = {
+    needed_s = {
         term: _seconds_for(term, target, fit)
         for term in ('B', 'K')
         if fit.noise[term].status != 'estimated'
         and (target := (limits or {}).get(term) or _negligible(term, fit))
         and (fit.noise[term].upper95 or math.inf) > target
     }
-    useful = {term: t for term, t in needed.items() if seconds < t <= LENGTHS_S[-1]}
-    if not useful:
+    useful_s = {term: t for term, t in needed_s.items() if seconds < t <= LENGTHS_S[-1]}
+    if not useful_s:
         return None
-    return next(t for t in LENGTHS_S if t >= max(useful.values())), tuple(useful)
+    return next(t for t in LENGTHS_S if t >= max(useful_s.values())), tuple(useful_s)
 
 
 def longest_recommended(
@@ -104,7 +104,7 @@ def longest_recommended(
     recommended = [each for each in advice if each is not None]
     if not recommended:
         return None
-    terms = {term for _, of_axis in recommended for term in of_axis}
+    terms = {term for _, axis_terms in recommended for term in axis_terms}
     return max(t for t, _ in recommended), tuple(t for t in ADVISED_TERMS if t in terms)
 
 

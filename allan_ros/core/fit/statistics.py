@@ -112,8 +112,8 @@ def _power_of(gamma: Gamma, octaves: int) -> Floats:
     octaves_of_means = max(octaves - SAMPLE_OCTAVES, 0)
     step = 1 << np.arange(octaves_of_means + 1)
     values = gamma(step[:, None], np.arange(LONGEST_BLOCK))
-    of_samples, of_means = _kernels()
-    power = np.append(of_samples @ values[0], values[1:] @ of_means.T)
+    kernel_of_samples, kernel_of_means = _kernels()
+    power = np.append(kernel_of_samples @ values[0], values[1:] @ kernel_of_means.T)
     return np.asarray(power[: bins_up_to(octaves)])
 
 
@@ -264,16 +264,16 @@ class Statistics:
             excluded_share = stretches_per_sample @ np.where(
                 is_short, 0.0, length[:, None] - sizes / 2.0
             )
-            of_axis = power * (1.0 - share_of_ends / (1.0 - excluded_share))[self.octave]
+            axis_power = power * (1.0 - share_of_ends / (1.0 - excluded_share))[self.octave]
             for o in np.unique(first_octave).tolist():
                 gamma = replaced_excess(
                     self.replaced, np.where(first_octave == o, stretches_per_sample, 0.0)
                 )
                 excess = np.where(self.octave >= o, _power_of(gamma, self.octaves), 0.0)
-                of_axis = of_axis + excess
+                axis_power = axis_power + excess
             gamma = replaced_excess(self.replaced, stretches_per_sample)
             low_excess = _covariances_of(gamma, self.step, self.sizes)
-            columns.append(Column(of_axis, [a + b for a, b in zip(low, low_excess)]))
+            columns.append(Column(axis_power, [a + b for a, b in zip(low, low_excess)]))
         return columns
 
     def dof_of(self, axis: int) -> Floats:
@@ -354,8 +354,10 @@ def statistics(sums: AllanSums, settling: Settling | None = None) -> Statistics:
     power, settling_share = spectra.power[is_used], np.zeros_like(spectra.power[is_used])
     if settling is not None:
         number = np.maximum(spectra.blocks[spectra.octave[is_used]], 1)[:, None]
-        total = settling_power(sums, settling, octaves) / number
-        settling_share = np.clip(total / np.maximum(power, 1e-300), 0.0, LARGEST_SHARE)
+        mean_settling_power = settling_power(sums, settling, octaves) / number
+        settling_share = np.clip(
+            mean_settling_power / np.maximum(power, 1e-300), 0.0, LARGEST_SHARE
+        )
     step, groups = _groups(sums, lower_edge(octaves), settling)
     return Statistics(
         sums.samples,
@@ -420,13 +422,13 @@ def _groups(
     means = [(r, m) for r in sums.recordings for m in r.means]
     step = max((m.step for _, m in means), default=1)
     segments = [(r, m, _coarser(m.values.T, step // m.step)) for r, m in means]
-    are_whole = len({y.shape[1] for *_, y in segments}) <= EQUAL_LENGTHS
+    uses_whole_segments = len({y.shape[1] for *_, y in segments}) <= EQUAL_LENGTHS
     decay = settling.time / step if settling is not None else 0.0
     pieces: dict[tuple[int, float], list[Floats]] = {}
     for recording, m, y in segments:
         offset = 0
         start = elapsed(recording, m, sums.tau0 or 1.0) / step
-        for points in [y.shape[1]] if are_whole else _lengths(y.shape[1]):
+        for points in [y.shape[1]] if uses_whole_segments else _lengths(y.shape[1]):
             if points >= LEAST_POINTS:
                 has_settling = start + offset < SETTLED * decay
                 pieces.setdefault((points, has_settling * decay), []).append(
@@ -434,15 +436,15 @@ def _groups(
                 )
             offset += points
     groups = []
-    for (points, piece_decay), each in sorted(pieces.items()):
+    for (points, piece_decay), pieces_of_size in sorted(pieces.items()):
         most_cosines = points - 2 - bool(piece_decay)
         size = Size(
             points, min(int(2.0 * points * step * edge), most_cosines, MOST_CONTRASTS), piece_decay
         )
         if size.high >= 2:
-            z = np.stack(each) @ contrasts(size)
+            z = np.stack(pieces_of_size) @ contrasts(size)
             gram = np.einsum('sai,saj->aij', z, z)
-            groups.append(Group(size, len(each), z.sum(0), gram))
+            groups.append(Group(size, len(pieces_of_size), z.sum(0), gram))
     return step, tuple(groups)
 
 
