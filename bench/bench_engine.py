@@ -52,7 +52,7 @@ def blocks(samples: int, pool: np.ndarray, seed: int = 0) -> Iterator[tuple[int,
 
 
 def exact_phase(samples: int, numbers: np.ndarray) -> np.ndarray:
-    """Return the integrated samples of one axis at every `STEP`-th sample, as exact integers."""
+    """Return the integrated samples of an axis at every `STEP`-th sample, as integers times `BIT`."""
     parts, last, at = [np.zeros(1, np.int64)], 0, 0
     first = None
     for begin, size in blocks(samples, numbers[None]):

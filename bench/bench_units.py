@@ -64,7 +64,7 @@ class Unit:
         self.rows = batch.samples + bias
         self.gyro, self.accel = self.rows[:, :3], self.rows[:, 3:]
         self.x, self.a = self.random.integers(0, 3, 2)  # axes with a fault
-        self.size = float(self.random.uniform(0.8, 1.3))  # factor of the size of a fault
+        self.size = float(self.random.uniform(0.8, 1.3))  # multiplies the size of a fault
         self.half = int(len(self.t) * self.random.uniform(0.3, 0.6))
 
     @property

@@ -51,7 +51,7 @@ def play(bag: Path, folder: Path, sensor: str) -> int:
             return 1
         took = time.monotonic() - began
         _fit()
-        time.sleep(2.0)  # allan_watch shows the last coefficients
+        time.sleep(2.0)  # until allan_watch has shown the last coefficients
     finally:
         for process in (watch, player, monitor):
             if process.poll() is None:

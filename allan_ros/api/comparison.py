@@ -73,7 +73,7 @@ def compare(
     method: str = 'likelihood',
     observer: Observer = Silent(),
 ) -> RunComparison:
-    """Compare recordings with the first recording, and with datasheets.
+    """Compare recordings with the first of them, and with datasheets.
 
     Parameters
     ----------

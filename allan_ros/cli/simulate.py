@@ -53,7 +53,7 @@ SIMULATE_OPTIONS = (
             ),
             Option(
                 ('--sensor',),
-                'N and B at the limits of this datasheet: a name from `allan sensors`, or a file',
+                'datasheet whose limits of N and B are simulated: a name from `allan sensors`, or a file',
                 'NAME',
                 exclusive=True,
             ),

@@ -102,7 +102,7 @@ def runs_table(comparison: RunComparison, axes: Sequence[str], units: str) -> Ta
 
     Each term has a row for each recording, and rows with the ratios of the other recordings to the
     first recording. Terms that no recording measures are omitted. The last rows state at how many
-    averaging times the Allan deviation differs from the first recording.
+    averaging times the Allan deviations of a recording and of the first recording differ.
     """
     sensor = sensor_of(axes[0])
     rows: list[tuple[Heading, list[Cell]]] = []

@@ -64,10 +64,10 @@ def _entries(text: str) -> Iterator[tuple[str, Words]]:
 
 
 def texts_of(finding: Finding, units: str = 'deg/h', spelled: Callable[[str], str] = str) -> Texts:
-    """Return message and remedy of a finding; ``units`` of its quantities are 'deg/h' or 'SI'.
+    """Return message and remedy of a finding, with its numbers filled in.
 
-    ``spelled`` is a function that returns the spelling of a unit of measurement, such as
-    `pretty_unit`.
+    ``units`` is 'deg/h' or 'SI'. ``spelled`` is a function that returns the spelling of a unit of
+    measurement, such as `pretty_unit`.
 
     Examples
     --------

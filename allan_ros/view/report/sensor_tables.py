@@ -123,7 +123,7 @@ def datasheet_html(axes: Axes, sheet: Datasheet, comparisons: Sequence[Check]) -
 
 
 def baseline_html(axes: Axes, before: Results, comparisons: Sequence[Check]) -> Iterator[str]:
-    """Yield an HTML table of a sensor and its earlier run; nothing without comparisons."""
+    """Yield an HTML table that compares a sensor with an earlier run; nothing without checks."""
     if any(c.axis in axes and c.quantity in TERMS for c in comparisons):
         yield _scrolled(
             'comparison', lambda units: baseline_table(_noise(axes), comparisons, units, before)
