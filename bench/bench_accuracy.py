@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Accuracy of the fits: simulate records with known noise, fit them, compare with the truth.
 
-    python bench/bench_accuracy.py                                   a short version, minutes
-    python bench/bench_accuracy.py table1_x --runs 300 --keep DIR    one scenario, sums kept
+    python bench/bench_accuracy.py                                   three scenarios, minutes
+    python bench/bench_accuracy.py table1_x --runs 300 --keep DIR    one scenario, keep sums
     python bench/bench_accuracy.py line_30 lines_30_03 low_pass_4_20 hump_10 --methods likelihood
     python bench/bench_accuracy.py real                              real recordings
 
@@ -363,7 +363,7 @@ def real() -> None:
 
 
 def run(scenario: str, runs: int, methods: list[str], keep: Path | None) -> None:
-    """Simulate the records of a scenario, fit them by each method, and print a table for each."""
+    """Simulate the records of a scenario, fit them by each method, and print a table per method."""
     rows: dict[str, list[AxisFit]] = {method: [] for method in methods}
     spent = dict.fromkeys(methods, 0.0)
     for sums in draws(scenario, runs, keep):

@@ -35,7 +35,8 @@ HOUR_S, DRIVES_S, DRIVE_S, CYCLE_S = 3600, 1800, 120, 180
 """Durations in s: an hour, the drives at its start, one drive, and a drive with the next rest."""
 
 BEGIN_S, GRACE_S = 2400, 30
-"""Start of the fault of an hour in s, and time in s for which the fault explains later changes."""
+"""Time in s at which the fault of an hour begins, and time in s after the fault in which changes of
+the status are explained."""
 
 PUBLISH_S = 60
 """Period in s at which the Allan sums are computed."""

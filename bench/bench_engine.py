@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Speed and rounding errors of the Allan sums, compared with allantools.oadev and exact integers.
 
-    python bench/bench_engine.py           to 10 h at 1 kHz x 6 axes, about half a minute
-    python bench/bench_engine.py --full    to 100 h: 360 M samples, some minutes
+    python bench/bench_engine.py           up to 10 h of six axes at 1 kHz, half a minute
+    python bench/bench_engine.py --full    up to 100 h: 360 M samples, some minutes
 
 Floating-point numbers (float64) between 8 and 16 are multiples of 2^-49. Samples near 9.8 m/s^2 are
 therefore integers in this unit, and the exact sums of squares can be computed from the integers.
@@ -36,7 +36,8 @@ SIGMA = 0.02
 RATE_HZ = 1000
 BLOCK = 1 << 20
 STEP = 256
-"""The exact phase is kept at every 256th sample. Sums whose stride is at least 256 are checked."""
+"""The exact integral of the samples is kept at every 256th sample. Only the Allan sums whose stride
+is at least 256 are checked."""
 HOURS = (1 / 6, 1.0, 10.0, 100.0)
 AXES = 6
 CHECKED_AXIS = 3
@@ -52,7 +53,7 @@ def blocks(samples: int, pool: np.ndarray, seed: int = 0) -> Iterator[tuple[int,
 
 
 def exact_phase(samples: int, numbers: np.ndarray) -> np.ndarray:
-    """Return the integrated samples of an axis at every `STEP`-th sample, as integers times `BIT`."""
+    """Return the integrated samples of an axis at every `STEP`-th sample, as multiples of `BIT`."""
     parts, last, at = [np.zeros(1, np.int64)], 0, 0
     first = None
     for begin, size in blocks(samples, numbers[None]):

@@ -63,7 +63,8 @@ RIGHT, N_SIGMAS, N_ERROR = 0.03, 4.5, 0.1
 
 Without a fit, the Allan deviation at the sample period may differ from the truth by `RIGHT`. This
 is 3.8 standard deviations for 120 s of data. The fitted N may differ by `N_SIGMAS` standard errors
-(false alarms of six axes: 4e-5), and by the fraction `N_ERROR`, so that no wide interval passes.
+(probability of a false alarm on six axes: 4e-5) and by the fraction `N_ERROR`, because an interval
+may be wide.
 """
 
 START_NS = 1_700_000_000_000_000_000
@@ -245,7 +246,7 @@ def duplicated(m: Messages, rng: Rng) -> Messages:
 
 
 def late(m: Messages, rng: Rng) -> Messages:
-    """Return the messages with a tenth of them delayed, so that up to six others overtake each."""
+    """Return the messages, of which a tenth are delayed and overtaken by up to six others."""
     delay = rng.uniform(0.01, 0.06, len(m)) * (rng.random(len(m)) < 0.1)
     return numbered(replace(m, arrived_s=m.arrived_s + delay).in_order(), m)
 
@@ -480,7 +481,7 @@ class Outcome:
 def with_fault(whole: Messages, fault: Fault, place: slice, rng: Rng) -> Messages:
     """Return messages of which the part ``place`` is disturbed, in the order of their arrival.
 
-    If the fault changes how many messages are sent, the later messages have other numbers.
+    If the fault changes how many messages are sent, the later messages get other sequence numbers.
     """
     disturbed = fault.disturb(whole.part(place), rng)
     later = whole.part(slice(place.stop, None))

@@ -223,7 +223,10 @@ def bias(records: int) -> None:
 
 
 def _bias_hits(axis: ar.AxisResult, samples: Any, white: Any, every: int) -> list[bool]:
-    """Return whether the interval contains the bias of the next 10 s, once in ``every`` seconds."""
+    """Return whether the 95 % interval of the bias contains the mean bias of the next 10 s.
+
+    The result has an item for every ``every``-th second.
+    """
     seconds = len(samples) // round(BIAS_RATE)
     means, drift = (
         values.reshape(seconds, -1).mean(axis=1) for values in (samples, samples - white)

@@ -9,7 +9,8 @@
 The first 20 of 30 simulated drives give the factors, and the noise at rest is measured in the same
 record. The columns are for each sensor the median factor of the error, how often the factor is
 significant (worse), the median factor of N, how often its interval contains the truth, and how
-often K has a factor; then the causes, and the errors of the other drives over three predictions.
+often K has a factor. Then follow the causes, and the squared errors of the other drives, divided by
+three predictions.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / 'test'))  # the package `support`
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / 'test'))  # contains `support`
 
 from support.simulate_drives import MotionErrors, Route, SimulatedDrives, simulate_drives
 
@@ -82,7 +83,7 @@ CASES = {
 
 
 class Outcome(NamedTuple):
-    """Factors from the first drives, and the errors of the other drives over three predictions."""
+    """Factors in the first drives, and squared errors of other drives over three predictions."""
 
     motion: NoiseInMotion
     errors: tuple[float, float, float]

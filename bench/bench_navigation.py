@@ -6,9 +6,9 @@
 
 A recording of 20 drives is analyzed. With the exported noise, the filter runs on 10 more drives,
 and receives a velocity of 0 at the rests. After each of the last 8 drives, the NEES of the velocity
-and of roll and pitch is computed; 1 is right. The noise is exported as at rest, with --motion, and
-as at rest with additional states for the matrix of scale factors and misalignments of the gyro. The
-package `python-ins` is needed (extra "consumers").
+and of roll and pitch is computed; 1 is right. Three exports are compared: the noise at rest, the
+noise with --motion, and the noise at rest with additional states for the scale factors and
+misalignments of the gyro. The package `python-ins` is needed (extra "consumers").
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / 'test'))  # the package `support`
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / 'test'))  # contains `support`
 
 from bench_motion import MEMS, RATE, batch
 from support.simulate_drives import MotionErrors, Route, SimulatedDrives, simulate_drives

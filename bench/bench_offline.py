@@ -4,7 +4,7 @@
 
     python bench/bench_offline.py           720,000 messages (1 h at 200 Hz), some minutes
     python bench/bench_offline.py --full    7.2 M messages too (10 h at 200 Hz), several minutes
-    python bench/bench_offline.py --keep DIR    keep the bags there and reuse them
+    python bench/bench_offline.py --keep DIR    keep the bags in DIR, and reuse them
 
 CPU time is the user and system time of the process that is measured. Each number is a median of
 several rounds. A round runs all programs one after the other, so that a busy machine affects all of
@@ -213,7 +213,7 @@ def show_table(folder: Path, sizes: list[int], rounds: int) -> None:
 
 
 def spread(path: Path, processes: int) -> None:
-    """Read a bag `RECORDINGS` times in ``processes``, as ``allan analyze --jobs`` does."""
+    """Read a bag `RECORDINGS` times with a number of processes, like ``allan analyze --jobs``."""
     from allan_ros.readers.recorded import ReadJob, read_in_processes, read_in_turn
 
     jobs = [ReadJob(str(path))] * RECORDINGS
@@ -256,7 +256,7 @@ def command_cpu(words: list[str], rounds: int) -> float:
 
 
 def show_analysis(folder: Path, rounds: int) -> None:
-    """Print the CPU time of a complete analysis of one minute of data, which is read quickly."""
+    """Print the CPU time of a complete analysis of one minute of data."""
     print('\n| one analysis of 60 s | CPU, s |')
     print('|---|---|')
     path = str(bag(folder, 'mcap zstd', MINUTE))

@@ -21,7 +21,7 @@ from pathlib import Path
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / 'test'))  # the package `support`
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / 'test'))  # contains `support`
 
 from ahrs.common.orientation import acc2q
 from ahrs.filters import Madgwick

@@ -46,7 +46,7 @@ class Setting(NamedTuple):
 
 
 def table(setting: Setting) -> str:
-    """Return the CPU time of `offline.table` as a multiple of `offline.floor`: mcap; sqlite3."""
+    """Return the CPU time of `offline.table` as a multiple of `offline.floor`, for each storage."""
     bags = (offline.bag(setting.folder, name, setting.messages) for name in offline.STORAGES)
     return '; '.join(f'{offline.to_table(bag, setting.rounds).ratio:.1f}' for bag in bags)
 
@@ -59,7 +59,7 @@ def sums(setting: Setting) -> str:
 
 
 def read(setting: Setting) -> str:
-    """Return the CPU time of AnyReader as a multiple of the readers of allan_ros: mcap; sqlite3."""
+    """Return the CPU time of AnyReader as a multiple of the readers of allan_ros."""
     ratios = (offline.reading(setting.folder, n, setting.rounds).ratio for n in offline.STORAGES)
     return '; '.join(f'{ratio:.0f}' for ratio in ratios)
 

@@ -70,7 +70,7 @@ def band(found: int, of: int) -> str:
 
 
 def found_in(model: NoiseModel) -> list[bool]:
-    """Return for each of `TESTS` whether the fit has one of its findings."""
+    """Return for each test in `TESTS` whether the fit has a finding of the test."""
     ids = {f.id for f in model.findings}
     return [bool(ids & test) for test in TESTS]
 

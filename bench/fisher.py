@@ -42,7 +42,7 @@ def second_difference_covariance(lags: int, step: int) -> Floats:
     second = np.array([-1.0, 2.0, -1.0]) * step**2
     rows = [np.convolve(t.gamma(step, lag), second, mode='valid') for t in RANDOM_TERMS]
     if step == 1:
-        # For large lags, the differences of t^2 ln t / (2 pi) cancel: use their expansion.
+        # For large lags, t^2 ln t / (2 pi) cancels in the difference: use an expansion.
         t = np.arange(lags, dtype=float)
         far = t > 60.0
         rows[2][far] = -(2.0 / t[far] ** 2 + 2.0 / t[far] ** 4) / (2.0 * np.pi)

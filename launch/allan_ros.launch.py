@@ -60,7 +60,7 @@ BOOLEANS |= {'false': False, 'no': False, 'off': False, '0': False}
 
 
 def boolean(given, name):
-    """Return the value of a launch argument as bool; raise RuntimeError if it is no boolean."""
+    """Return the value of a launch argument as bool; raise RuntimeError if it is not one."""
     text = given[name].strip().lower()
     if text not in BOOLEANS:
         raise RuntimeError(f'{name}:={given[name]} is not a boolean: give true or false')
@@ -73,7 +73,7 @@ def items(text):
 
 
 def nodes(context):
-    """Return the nodes to start, as the launch arguments in ``context`` request."""
+    """Return the nodes to start, according to the launch arguments in ``context``."""
     given = {name: LaunchConfiguration(name).perform(context) for name in (*ARGUMENTS, 'config')}
     overrides = {parameter: given[name] for name, parameter in PARAMETERS.items() if given[name]}
     topics = items(given['imu'])

@@ -36,7 +36,7 @@ def play(bag: Path, folder: Path, sensor: str) -> int:
         'estimator.sensor': sensor,
         'publish.sums_period': 2.0,
         'input.stale_after': 3600.0,  # no error after the end of the recording
-        # a week: the latest hour of a fast playback lasts only seconds
+        # a week, because an hour of a fast playback lasts only seconds
         'estimator.recent_window': 604800.0,
     }
     given = [word for name, value in parameters.items() for word in ('-p', f'{name}:={value}')]

