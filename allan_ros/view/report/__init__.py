@@ -165,7 +165,7 @@ def _hosts(charts: Sequence[Mapping[str, Any]], kind: str) -> list[str]:
 
 
 def _pair(sensors: Iterable[str], parts: Iterable[Sequence[str]]) -> list[str]:
-    """Return the HTML of each sensor in a separate column; an empty list without any HTML."""
+    """Return HTML with a column for each sensor that has parts; an empty list if none has parts."""
     content = [
         f'<div><h3>{SENSOR_NAMES[sensor]}</h3>{"".join(part)}</div>'
         for sensor, part in zip(sensors, parts)

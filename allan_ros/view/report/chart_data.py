@@ -226,9 +226,10 @@ def motion_chart(results: Results) -> dict[str, Any] | None:
 def model_density(axis: AxisResult, spectrum: Spectrum) -> Floats:
     """Return the one-sided power spectral density of the model, (frequencies,), in SI unit^2/Hz.
 
-    The density is what `spectrum` would measure for this model on average. Sinusoids therefore have
-    peaks of the same height, and slow processes the same leakage. A ramp has no effect, because the
-    tapers remove it. The density is NaN above the pass band of a low-pass filter.
+    The density is the expectation of the measured ``spectrum`` if the model is right. Sinusoids
+    therefore have peaks of the same height, and slow processes the same leakage. A ramp has no
+    effect, because the tapers remove it. The density is NaN above the pass band of a low-pass
+    filter.
     """
     tau0, power = axis.tau0, np.zeros(len(spectrum.frequency))
     for process, value, *_ in axis.fit.model.parts:
@@ -312,7 +313,7 @@ def _against_temperature(bias: Trend, summary: SignalSummary | None) -> Trend | 
     times_s, readings = trace.time_s[has_reading], trace.celsius[has_reading]
     celsius = np.interp(bias.x, times_s, readings, np.nan, np.nan)
     is_known = np.isfinite(celsius) & np.isfinite(bias.values).all(axis=1)
-    if is_known.sum() < LEAST_TREND_POINTS or np.ptp(celsius[is_known]) <= 0.5:  # K
+    if is_known.sum() < LEAST_TREND_POINTS or np.ptp(celsius[is_known]) <= 0.5:  # range in K
         return None
     order = np.argsort(celsius[is_known], kind='stable')
     return Trend(celsius[is_known][order], bias.values[is_known][order], bias.tau)

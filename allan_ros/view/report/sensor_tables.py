@@ -135,7 +135,7 @@ def baseline_html(axes: Axes, before: Results, comparisons: Sequence[Check]) -> 
 
 
 def facts_html(facts: Mapping[str, str]) -> str:
-    """Return an HTML table with a row for each fact, which contains its name and its text."""
+    """Return an HTML table with a row for each fact: the name and the text."""
     rows = [(Heading(name), [Cell(text)]) for name, text in facts.items()]
     return html_table('facts', lambda _: Table(Heading(''), [Heading('')], rows))
 
