@@ -234,7 +234,7 @@ EXPORT_OPTIONS = (
 SENSOR_OPTIONS = (
     Option(
         ('name',),
-        'sensor to show with its sources and measured values (default: list all)',
+        'sensor whose figures, sources and measured values are shown (default: list all)',
         'NAME',
         nargs='?',
     ),

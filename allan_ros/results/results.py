@@ -55,7 +55,8 @@ class Results:
         Sample period, and total time of all used samples, in s. If gyro and accelerometer have
         different rates, these numbers describe the sensor with more samples.
     samples, segments : int
-        Number of used samples, and number of segments without gaps or motion, of the same sensor.
+        Number of used samples, and number of segments without gaps or motion, of the sensor that
+        ``tau0`` describes.
     axes : mapping of axis name to AxisResult
         The measured axes: gyro_x, gyro_y, gyro_z, accel_x, accel_y, accel_z, if present.
     provenance : Provenance
@@ -191,7 +192,7 @@ class Results:
 
     @property
     def measured(self) -> Run:
-        """The coefficients and the curve of each axis, with which recordings are compared."""
+        """The coefficients and the curve of each axis, for a comparison with other recordings."""
         return {name: AxisNoise(axis.fit.noise, axis.curve) for name, axis in self.axes.items()}
 
     @property

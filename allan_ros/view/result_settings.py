@@ -70,7 +70,7 @@ class ResultSettings(CheckedSettings):
 
 
 def check_plots(formats: Sequence[str]) -> None:
-    """Raise AllanError if a format of figures is unknown, or if matplotlib is needed and missing."""
+    """Raise AllanError for an unknown format of figures, or if matplotlib is needed but missing."""
     for form in formats:
         choose(FORMATS, plots=form)
     if formats:
