@@ -72,8 +72,8 @@ class SignalEnvelope:
         """Return a copy with the accelerometer of another topic, in the bins of this envelope."""
         joined = deepcopy(self)
         accel = slice(len(AXES) // 2, None)
-        # a bin gets the bins of the other topic from the bin in which it begins to the bin in which
-        # the next bin begins
+        # all bins of the other topic between the starts of two bins are joined into the first of
+        # the two bins
         starts = np.searchsorted(other.start_ns[1:], self.start_ns).clip(max=other.bins - 1)
         starts[:1] = 0
         for name, join in BIN_STATISTICS.items():
