@@ -214,7 +214,8 @@ class Inflation:
     def ratios(self, axis: str) -> list[Check]:
         """Return the ratio of the Allan deviations of an axis for each averaging time.
 
-        Each ratio is the Allan deviation with motors on to the Allan deviation with motors off.
+        Each ratio is the Allan deviation with motors on, divided by the Allan deviation with motors
+        off.
         """
         (checks,) = self.comparison.differences.values()
         return [d for d in checks if d.axis == axis and d.tau is not None]

@@ -55,7 +55,7 @@ class Coherence(NamedTuple):
     """Coherence, from -1 to 1, with its 95 % interval at each averaging time."""
 
     tau: Floats  # averaging times in s, (taus,)
-    value: Floats  # (taus,)
+    value: Floats  # coherence at each averaging time, (taus,)
     low: Floats  # lower ends of the intervals, (taus,)
     high: Floats  # upper ends of the intervals, (taus,)
 

@@ -90,7 +90,7 @@ def simulate(parts: Iterable[tuple[float, Process]], n: int, rng: np.random.Gene
         gamma = np.zeros(half_size + 1)
         for variance, process in from_gamma:
             gamma += variance * _lags(process, half_size + 1)
-        # the Fourier transform of an even sequence is the cosine transform of half of it
+        # the Fourier transform of an even sequence is the cosine transform of half of the sequence
         eigenvalues = fft.dct(gamma, type=1, overwrite_x=True)
         eigenvalues[0] = 0.0
         if eigenvalues.min() > -1e-9 * eigenvalues.max() or relative_size >= LONGEST_CIRCLE:
