@@ -28,8 +28,8 @@ from ..readers.recorded import (
 from ..results.analysis import analyze_recorded, one_thread
 from ..results.documents import RESULTS, SUMS, load_sums
 from ..results.documents import load as load_results
-from ..results.from_truth import is_truth, results_of_truth
 from ..results.results import Results as PlainResults
+from ..results.simulation import is_truth, results_of_truth
 from ..view.result_settings import ResultSettings
 from .classes import Results, compared, public
 

@@ -24,8 +24,8 @@ from ..results.comparison import Inflation as PlainInflation
 from ..results.comparison import RunComparison as PlainRunComparison
 from ..results.datasheets import load_sensor
 from ..results.documents import labels_of
-from ..results.from_truth import is_truth
 from ..results.results import Results as PlainResults
+from ..results.simulation import is_truth
 from ..view.result_settings import ResultSettings
 from .analysis import read_settings, results_of
 from .classes import public
@@ -35,7 +35,7 @@ class CommonResult(PlainCommonResult):
     __doc__ = PlainCommonResult.__doc__
 
     def __repr__(self) -> str:
-        from ..view.comparison_lines import common_lines
+        from ..view.comparison_table import common_lines
 
         return '\n'.join(common_lines(self))
 
@@ -59,7 +59,7 @@ class Inflation(PlainInflation):
     __doc__ = PlainInflation.__doc__
 
     def __repr__(self) -> str:
-        from ..view.comparison_lines import inflation_lines
+        from ..view.comparison_table import inflation_lines
 
         return '\n'.join(inflation_lines(self))
 

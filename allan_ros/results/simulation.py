@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Simulate an IMU with noise and faults that the user states, in Python or in a file.
+"""Simulate an IMU with stated noise and faults, and read the truth of a simulated recording.
 
 Specification
 -------------
@@ -28,18 +28,27 @@ from pathlib import Path
 from typing import Any
 
 from ..core.errors import AllanError
+from ..core.estimate import UNKNOWN, Estimate
 from ..core.fields import Fields, located
-from ..core.imu import AXES, SI_UNITS, ImuBatch, from_datasheet, joined, sensor_of
+from ..core.fit.result import TERMS, AxisFit
+from ..core.imu import AXES, SI_UNITS, ImuBatch, ImuIdentity, from_datasheet, joined, sensor_of
 from ..core.noise import LETTERS, Model
 from ..core.settings import check_range, expect, settings_from
 from ..core.simulator import PRESETS, Faults, simulate_imu
+from ..readers import SourceInfo
 from ..readers.files import public, read_yaml, to_json, write_atomic
+from ..readers.recorded import Provenance
+from .axis_result import AxisResult
 from .datasheets import load_sensor
+from .results import Results
 
 TRUTH_SCHEMA = 'allan_ros/truth/1'
 
 TRUTH_SUFFIX = '.truth.json'
 """Suffix of the truth file: the truth of ``name.mcap`` is in ``name.mcap.truth.json``."""
+
+TRUTH = 'truth'
+"""Value of `Results.method` for results that contain the true noise."""
 
 AxesNoise = Mapping[str, Model]
 
@@ -202,6 +211,41 @@ def write_truth(
     path = truth_path(recording)
     write_atomic(path, to_json(document))
     return path
+
+
+def is_truth(path: str | os.PathLike[str]) -> bool:
+    """Return whether the file at a path is a truth file, judged by its name and schema."""
+    file_path = Path(path)
+    if not (file_path.name == 'truth.json' or file_path.name.endswith(TRUTH_SUFFIX)):
+        return False
+    document = read_yaml(file_path)
+    return isinstance(document, dict) and document.get('schema') == TRUTH_SCHEMA
+
+
+def results_of_truth(path: str | os.PathLike[str]) -> Results:
+    """Return the noise in the truth file of a simulated recording as results.
+
+    The intervals have no width, because the noise is known exactly. A term that was not simulated
+    has no value, so that measured results are not compared with it. Raises AllanError when the file
+    is invalid.
+    """
+    fields = Fields(read_yaml(Path(path)), str(path))
+    tau0, seconds = 1.0 / fields.number('rate_hz'), fields.number('seconds')
+    axes = {
+        axis: AxisResult(tau0, AxisFit(_estimates(model), model), name=axis)
+        for axis, model in read_noise(path).items()
+    }
+    samples = round(seconds / tau0)
+    provenance = Provenance((SourceInfo(str(path), '', '', ''),))
+    return Results(ImuIdentity(TRUTH), TRUTH, tau0, samples, seconds, 1, axes, provenance, ())
+
+
+def _estimates(model: Model) -> dict[str, Estimate]:
+    values = {term: model.value(term) for term in TERMS}
+    return {
+        term: Estimate(value, (value, value)) if value else UNKNOWN
+        for term, value in values.items()
+    }
 
 
 @public

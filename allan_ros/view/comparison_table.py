@@ -1,16 +1,20 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Tables that compare coefficients with limits, between recordings, or between IMUs."""
+"""Tables that compare coefficients with limits, between recordings, or between IMUs.
+
+`inflation_lines` and `common_lines` add titles and notes for the terminal.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 
 import numpy as np
 
 from ..core.allan.common_noise import CommonNoise
 from ..core.check import Check
 from ..core.estimate import NOTHING_KNOWN, UNKNOWN, Estimate
+from ..core.filters.reductions import horizon_text
 from ..core.fit.result import TERMS
 from ..core.imu import SI_UNITS, sensor_of, shown_unit
 from ..core.number_text import prefixed, significant
@@ -25,8 +29,9 @@ from .coefficient_table import (
     term_name,
 )
 from .comparison_text import ratio_text, verdict_text
+from .finding_text import finding_line
 from .format import NO_BREAK, pretty_unit
-from .table import Cell, Heading, Table
+from .table import WIDE, Cell, Heading, Table, terminal_lines
 
 
 def limit_table(
@@ -191,6 +196,19 @@ def deviation_ratio_table(inflation: Inflation) -> Table:
     return Table(Heading(''), [Heading(f'{tau:g} s') for tau in shown_taus], rows)
 
 
+def inflation_lines(inflation: Inflation, columns: int = WIDE) -> Iterator[str]:
+    """Yield the lines of text about the noise with motors on, compared with motors off.
+
+    The lines contain N and K, the ratios of the Allan deviations, and the option for `allan
+    export`. ``columns`` is the width of the text in characters.
+    """
+    yield f'N and K for a filter, over {horizon_text(inflation.horizon)}'
+    yield from terminal_lines(inflation_table(inflation), columns)
+    yield from ('', 'Allan deviation with motors on over motors off, 95 % interval')
+    yield from terminal_lines(deviation_ratio_table(inflation), columns)
+    yield from ('', f'For `allan export`: --inflate {inflation.option}')
+
+
 def _nearest(checks: Sequence[Check], tau: float) -> Check | None:
     """Return the check with the averaging time closest to ``tau`` (s); None if none is near."""
     candidates = [c for c in checks if c.tau is not None and tau / NEAR < c.tau < NEAR * tau]
@@ -241,6 +259,20 @@ def common_table(common: CommonResult, units: str = 'deg/h') -> Table:
         '95 % intervals; coherence at averaging times: 0 is independent noise, 1 common noise, '
         'such as vibration',
     )
+
+
+def common_lines(common: CommonResult, units: str = 'deg/h', columns: int = WIDE) -> Iterator[str]:
+    """Yield the lines of the table of common noise, and the warnings about the recordings.
+
+    ``units`` is 'deg/h' or 'SI', and ``columns`` is the width of the text in characters.
+    """
+    yield from terminal_lines(common_table(common, units), columns)
+    for label, found in common.findings.items():
+        yield from (
+            f'{each.severity}: {label}: {finding_line(each)}'
+            for each in found
+            if each.severity != 'info'
+        )
 
 
 def _coherence_cell(row: CommonNoise, tau: float) -> Cell:
