@@ -122,25 +122,33 @@ class Selection:
     def _with_one_more(self, fit: Fit) -> Fit | None:
         """Return the fit with the best further process, or None if no gain exceeds a threshold."""
         matrices, is_aliased = LowBandFit.all_of(self.data, fit), self._aliased(fit)
-        best, best_value = None, math.inf
+        added: list[Fit] = []
         for kind in self.candidates.kinds:
             gains = kind.gains(self.data, fit, matrices) * kind.allowed(self.shortest, self.fastest)
             if is_aliased and kind.first.is_line:
                 gains[kind.slow] = 0.0
-            threshold = self.threshold(kind.first)
-            if gains.max() < PROMISING * threshold:
+            if gains.max() < PROMISING * self.threshold(kind.first):
                 continue
             seed = 1e-3 * float(np.diag(fit.information) @ fit.p) / max(len(self.data.power), 1)
-            added = kind.processes[int(gains.argmax())]
-            new = self.fit((*fit.components, added), np.append(fit.p, seed))
+            process = kind.processes[int(gains.argmax())]
+            added.append(self.fit((*fit.components, process), np.append(fit.p, seed)))
+        best, best_value = None, math.inf
+        for new in sorted(added, key=self._penalized):
+            gain, threshold = fit.value - new.value, self.threshold(new.components[-1])
+            if fit.value - gain / PROMISING + threshold > best_value:
+                continue
             new = self.refined(new, [len(fit.p)], 3)
-            if new.value + threshold < best_value:
-                best, best_value = new, new.value + threshold
+            if self._penalized(new) < best_value:
+                best, best_value = new, self._penalized(new)
         if best is None:
             return None
         best = self.refined(self._located(best), range(len(self.base), len(best.p)))
         best = self._with_limits(best)
         return best if best.value + self.threshold(best.components[-1]) < fit.value else None
+
+    def _penalized(self, fit: Fit) -> float:
+        """Return -2 log L of a fit plus the threshold of its last component."""
+        return fit.value + self.threshold(fit.components[-1])
 
     def _located(self, fit: Fit) -> Fit:
         """Return the fit after a search for the frequency of the last component.
