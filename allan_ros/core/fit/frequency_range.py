@@ -238,7 +238,7 @@ def _highest(rules: Selection) -> _Trial:
         and _relative_power(rules.data, tops[0]) < LOST_POWER[0]
         and _test(rules, rules.fit(rules.base)).looks_filtered
     ):
-        if _leaves_white_noise(rules):
+        if _bends_like_noise(rules):
             trial = _trial(rules, tops[0])
             if trial.verdict.holds and any(c.bends_spectrum for c in trial.fit.components):
                 return trial
@@ -257,18 +257,20 @@ def _highest(rules: Selection) -> _Trial:
     return fair or _trial(rules, tops[0])
 
 
-def _leaves_white_noise(rules: Selection) -> bool:
-    """Return whether white noise is resolved in a fit with the best fast Gauss-Markov process.
+def _bends_like_noise(rules: Selection) -> bool:
+    """Return whether a fast Gauss-Markov process explains a spectrum that bends.
 
-    The spectrum of a low-pass filter has no white noise at the highest frequencies.
+    The process and white noise are fitted. Unlike with a low-pass filter, the white noise is
+    resolved, and no bend of the spectrum remains.
     """
     base = rules.fit(rules.base)
     fast_processes = [
         c for kind in rules.candidates.kinds for c in kind.processes if c.bends_spectrum
     ]
     fits = [rules.fit((*rules.base, c), np.append(base.p, base.p[N])) for c in fast_processes]
-    best = min(fits, key=lambda each: each.value)
-    return float(best.p[N]) > WHITE_NOISE * math.sqrt(best.covariance()[N, N])
+    best = rules.refined(min(fits, key=lambda each: each.value), [len(base.p)])
+    is_resolved = float(best.p[N]) > WHITE_NOISE * math.sqrt(best.covariance()[N, N])
+    return is_resolved and not _test(rules, best).looks_filtered
 
 
 def _is_rather_filter(rules: Selection, fit: Fit) -> bool:
