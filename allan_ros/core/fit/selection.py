@@ -59,8 +59,9 @@ TOLERANCE = 0.03
 """Change of -2 log L in one step below which a fit, or the improvement of shapes, ends."""
 
 PROMISING = 0.4
-"""Least approximate gain, relative to the threshold, of a candidate that is fitted. This condition
-saves time. It does not change the false alarms in recordings without processes."""
+"""Least approximate gain of a candidate that is fitted, relative to the threshold, and least share
+of the final gain that a candidate has before its shape is improved. Both conditions save time. They
+do not change the false alarms in recordings without processes."""
 
 
 @dataclass(frozen=True, eq=False)
