@@ -37,7 +37,8 @@ def test_any_chunking_of_any_stream_gives_the_same(fault, n, chunks, seed, gated
     whole = accumulate(t, x, (len(t) + 1,), motion_gate=gated)
     assert_same(whole, accumulate(t, x, chunks, motion_gate=gated))
     # samples that repeat the previous one or belong to no sensor are not counted
-    if len(whole.sums) < 2 and not ids(whole) & {'held', 'sensor_absent'}:
+    has_uncounted = fault == 'nan first' or ids(whole) & {'held', 'sensor_absent'}
+    if len(whole.sums) < 2 and not has_uncounted:
         assert_accounted(whole)
     assert np.isfinite([v for s in whole.sums for v in s.sum_sq.ravel()]).all()
 
