@@ -433,8 +433,10 @@ class NoiseFloor:
 
     def has_clipping(self, rows: Floats) -> bool:
         """Return whether the same axes as at this floor are clipped in samples, (axes, n)."""
-        clipping_ended = extreme_shares(rows) < UNCLIPPED * self.clipped
-        return not (self.newly_clipped(rows) | clipping_ended).any()
+        if self.newly_clipped(rows).any():
+            return False
+        was_clipped = self.clipped > 0.0
+        return not (extreme_shares(rows[was_clipped]) < UNCLIPPED * self.clipped[was_clipped]).any()
 
     def is_nearer(self, other: NoiseFloor, rows: Floats, windows: Windows) -> bool:
         """Return whether samples, (axes, n), fit this noise floor better than another noise floor.

@@ -99,13 +99,20 @@ def clipped_share(samples: Floats) -> float:
     return share if share >= MIN_CLIPPED else 0.0
 
 
+def _are_extreme(rows: Floats) -> tuple[Flags, Flags]:
+    """Return which samples equal the maximum, and which equal the minimum, of their axis.
+
+    ``rows`` and both results are (axes, n).
+    """
+    return rows == rows.max(axis=1, keepdims=True), rows == rows.min(axis=1, keepdims=True)
+
+
 def extreme_shares(rows: Floats) -> Floats:
     """Return the share of the samples of each axis, (axes, n), at their extreme values, (axes,).
 
     It is the share at the maximum or the share at the minimum, whichever is larger.
     """
-    extremes = (rows.max(axis=1), rows.min(axis=1))
-    counts = [np.count_nonzero(rows == extreme[:, None], axis=1) for extreme in extremes]
+    counts = [np.count_nonzero(flags, axis=1) for flags in _are_extreme(rows)]
     return np.asarray(np.maximum(*counts) / rows.shape[1])
 
 
@@ -115,6 +122,9 @@ def clipped_shares(rows: Floats) -> Floats:
     A share below `MIN_CLIPPED` is returned as 0.
     """
     shares = np.zeros(len(rows))
+    # the common case: all axes together have fewer extreme samples than one clipped axis
+    if sum(map(np.count_nonzero, _are_extreme(rows))) < MIN_CLIPPED * rows.shape[1]:
+        return shares
     for axis in np.flatnonzero(extreme_shares(rows) >= MIN_CLIPPED):
         shares[axis] = clipped_share(rows[axis])
     return shares
