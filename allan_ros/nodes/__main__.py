@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Entry points of the executables.
+"""Entry points of the executables of the ROS nodes.
 
 Without installation: ``python -m allan_ros.nodes monitor --ros-args ...``.
 """

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Adds the Imu messages of one topic to Allan sums, which a checkpoint preserves over restarts."""
+"""Adds the Imu messages of one topic to Allan sums, which a checkpoint keeps across restarts."""
 
 from __future__ import annotations
 
@@ -38,13 +38,13 @@ UPDATE_S = 0.5
 
 
 class ImuWatch(NodePart):
-    """Accumulates the Allan sums of one IMU; after a restart, the sums in the checkpoint continue.
+    """Accumulates the Allan sums of one IMU; a restarted node continues the sums in the checkpoint.
 
-    ``output`` publishes the sums periodically, for a new subscriber, and when sums are reset or
-    replaced. ``sensor`` is the only sensor that is used, or '' for both sensors. ``accel`` is the
-    watch of an accelerometer with its own topic. If ``accel`` is given, ``output`` publishes the
-    sums of both sensors whenever the sums of one sensor are due, and the services reset or save
-    both.
+    ``output`` publishes the sums periodically, for each new subscriber, and when the sums are reset
+    or replaced. ``sensor`` is the only sensor that is used, or '' for both sensors. ``accel`` is
+    the `ImuWatch` of an accelerometer with its own topic. If it is given, ``output`` publishes the
+    sums of both sensors whenever the sums of one sensor are due, and the services reset or save the
+    sums of both.
     """
 
     def __init__(
@@ -71,7 +71,7 @@ class ImuWatch(NodePart):
         self._monitor = TransportMonitor(self._input.topic, now)
         self._last_stamp_ns: int | None = None
         self.frame_id = ''
-        self._axes: tuple[str, ...] = ()  # axes with a finite value so far
+        self._axes: tuple[str, ...] = ()  # axes for which a finite value was received
         self._faults: tuple[Finding, ...] = ()
         self._received = 0  # number of messages when the last status was made
         self._clock_ns = -1  # time of the node in ns when the last status was made
@@ -86,7 +86,7 @@ class ImuWatch(NodePart):
 
     @property
     def description(self) -> str:
-        """Description of the input, for the log at start."""
+        """Text that describes the input in the log at the start of the node."""
         name = f' as {self._imu.label}' if self._imu.label else ''
         checkpoint = self._checkpoint.path or 'none'
         return f'{self._input.topic}{name} ({self._input.qos}; checkpoint {checkpoint})'
@@ -99,10 +99,12 @@ class ImuWatch(NodePart):
         has_new_subscriber = self.output.has_new_subscriber()
         if self._sums_due.due(now) and self._sensor != 'accel':
             self._update()
-            last = self._accel or self  # with a separate accelerometer input, it publishes both
-            last._update()
-            last._publish(last._total())
-        elif has_new_subscriber:  # a new subscriber does not wait for the period
+            # A separate accelerometer publishes its own sums. This object listens to it, and then
+            # publishes the sums of both sensors.
+            publishing = self._accel or self
+            publishing._update()
+            publishing._publish(publishing._total())
+        elif has_new_subscriber:  # a new subscriber need not wait until sums are due
             self._publish(self._total())
         if self._save_due.due(now):
             self._update()
@@ -125,7 +127,8 @@ class ImuWatch(NodePart):
             now, statistics, health, publishers, stale_after, stream_findings, graph_findings
         )
         own_topic = self.output.topic
-        if (count := self._node.count_publishers(own_topic)) > 1:  # another node of the same name
+        # a second publisher is another node with the same name
+        if (count := self._node.count_publishers(own_topic)) > 1:
             names = ', '.join(map(full_name, self._node.get_publishers_info_by_topic(own_topic)))
             shared_topic = finding(
                 'relay_several_publishers', count=count, topic=own_topic, names=names
@@ -142,7 +145,7 @@ class ImuWatch(NodePart):
             self._faults = *self._faults, finding('moving_now')
         if self._state() != self.output.state:
             self._publish(self._total())
-        # with these ids, findings about the live input replace findings about the whole stream
+        # findings about the present input replace findings about the whole stream with these ids
         live_ids = {*LIVE, 'gaps', *(f.id for f in input_findings)}
         stamp_age = None
         if self._last_stamp_ns is not None:
@@ -174,7 +177,7 @@ class ImuWatch(NodePart):
     def _is_paused(self) -> bool:
         """Return whether simulated time has stopped since the last call; False with real time.
 
-        Simulated time has not stopped if a message has arrived since the last call.
+        If a message has arrived since the last call, simulated time counts as running.
         """
         now_ns, former_ns = self._node.get_clock().now().nanoseconds, self._clock_ns
         self._clock_ns = now_ns
@@ -192,10 +195,9 @@ class ImuWatch(NodePart):
     def _health_and_findings(self) -> tuple[StreamHealth, tuple[Finding, ...]]:
         """Return the health and the findings of the stream.
 
-        Computing the sums takes tens of milliseconds. While messages arrive, the sums are therefore
-        computed only if one of the values of `_events` has changed. If more than
-        `REPLACED_SHARE` of the published samples are missing in the new sums, the new sums are
-        published at once.
+        The computation of the sums takes tens of milliseconds. While messages arrive, the sums are
+        therefore computed only after an event (`_events`). If more than `REPLACED_SHARE` of the
+        published samples are missing in the new sums, the new sums are published at once.
         """
         has_new_messages = self._input.received != self._received
         self._received = self._input.received
@@ -212,11 +214,11 @@ class ImuWatch(NodePart):
     # --- samples in -------------------------------------------------------------------------------
 
     def _begin(self, covered: Sequence[tuple[int, int]] = ()) -> None:
-        """Start new sums; ``covered`` are the (first, last) stamps of data in the checkpoint.
+        """Start new sums; ``covered`` are (first, last) stamps in ns of data in the checkpoint.
 
-        With simulated time, the same recording may be played again. Samples with stamps in a time
-        that is already covered are therefore excluded. With real time, a stamp that is earlier than
-        the previous stamp means that the clock was set, which only splits the data.
+        With simulated time, a recording may be played twice. Samples from a time that the
+        checkpoint covers are therefore excluded. With real time, stamps that go back mean that the
+        clock was set; this only splits the data.
         """
         is_simulated = bool(self._node.get_parameter('use_sim_time').value)
         self._stream = ImuStream(
@@ -251,7 +253,7 @@ class ImuWatch(NodePart):
     # --- sums out ---------------------------------------------------------------------------------
 
     def _total(self) -> Total:
-        """Return the sums and the provenance of all samples, also from earlier runs of the node."""
+        """Return sums and provenance of all samples, also from earlier runs of the node."""
         if self._outdated:
             self._result, self._outdated = self._stream.result(), False
         result, name = self._result, self._node.get_fully_qualified_name()
@@ -268,12 +270,12 @@ class ImuWatch(NodePart):
         return total
 
     def _state(self) -> object:
-        """Return a value that changes when the estimator must receive the sums at once."""
+        """Return a value whose change means that the estimator must receive the sums at once."""
         has_means = any(len(each.end_ns) for each in self._stream.means())
         return self.frame_id, self._axes, has_means, kinds_of(self._faults)
 
     def _publish(self, total: Total) -> None:
-        """Publish the sums, together with the accelerometer of another topic if there is one."""
+        """Publish the sums, together with the sums of an accelerometer with its own topic."""
         means, faults = self._stream.means(), self._faults
         hardware_id = self._imu.hardware_id
         drives = self._stream.drives()
@@ -307,12 +309,12 @@ class ImuWatch(NodePart):
     def _on_reset(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._input.drain()
         self._update()
-        where = self._checkpoint.start_over(self._total())
+        backup_path = self._checkpoint.start_over(self._total())
         self._begin()
         if self._accel is not None:
             self._accel._on_reset(_request, Trigger.Response())
         self._publish(self._total())
-        backup_lines = [f'the previous sums are in {where}'] if where else []
+        backup_lines = [f'the previous sums are in {backup_path}'] if backup_path else []
         lines = [
             'the sums start from zero',
             *backup_lines,
@@ -327,7 +329,7 @@ def watches(
     imu: WatchedImu,
     listener: Callable[[Snapshot], None] | None = None,
 ) -> list[ImuWatch]:
-    """Return the input of an IMU, or two if gyro and accelerometer have separate topics.
+    """Return the input of an IMU, or two inputs if gyro and accelerometer have separate topics.
 
     ``listener`` is called with every snapshot of the IMU.
     """
@@ -348,7 +350,7 @@ def watched_imus(node: AllanNode) -> list[WatchedImu]:
 
 
 def _events(health: StreamHealth) -> tuple[object, ...]:
-    """Return values that change with a motion, a gap or a new frame_id, but not while at rest."""
+    """Return values that change after an event: a motion, a gap, or a new frame_id."""
     c = health.counts
     has_used_samples, splits = c.used > 0, sum(c.splits.values())
     return (

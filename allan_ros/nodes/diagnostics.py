@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Makes the `/diagnostics` statuses of an input and of an axis; writes statuses for Prometheus."""
+"""Makes the statuses of inputs and axes for `/diagnostics`, and writes them for Prometheus."""
 
 from __future__ import annotations
 
@@ -41,9 +41,9 @@ NUMBER_TEXT = r'[-+]?\d+(\.\d*)?(e[-+]?\d+)?'
 """Pattern of a number. Only values of a status that match this pattern are written as metrics."""
 
 FINDING = 'finding'
-"""Key of a status whose value is the id of the finding in the message, or 'none'. The text of each
-finding is under the key ``finding: <id>``. This text begins with 'now' or 'earlier', or states when
-the event happened."""
+"""Key in a status; the value is the id of the finding in the message of the status, or 'none'. The
+text of each finding is under the key ``finding: <id>``. This text begins with 'now' or 'earlier',
+or states when the event happened."""
 
 
 def status_name(node: Node, *words: str) -> str:
@@ -81,12 +81,12 @@ PARAMETERS = {
     '--accel-topic': 'parameter input.accel_topics:=',
     '--motion': 'parameter relay.motion:=true',
 }
-"""Command line option -> text that replaces the option if a node reports the finding. The value of
-the parameter follows ``:=`` in the text of the finding."""
+"""Command line option -> text that replaces the option in a finding of a node. In the finding, the
+value of the parameter follows ``:=``."""
 
 
 VALUELESS = re.compile(r':=(?=\W|$)(?!\{)')
-"""Pattern of the sign ``:=`` after a parameter, if no value follows this sign."""
+"""Pattern of ``:=`` without a following value."""
 
 
 def node_text(found: Finding) -> str:
@@ -102,8 +102,8 @@ def node_text(found: Finding) -> str:
     return VALUELESS.sub('', text)
 
 
-def _parameter_text(place: re.Match[str]) -> str:
-    return (place['open'] or '') + PARAMETERS.get(place['option'], place['option'])
+def _parameter_text(match: re.Match[str]) -> str:
+    return (match['open'] or '') + PARAMETERS.get(match['option'], match['option'])
 
 
 def status_of(
@@ -117,10 +117,10 @@ def status_of(
 ) -> DiagnosticStatus:
     """Return a status with the level of its most severe finding.
 
-    The message of the status is the first warning or error in ``findings``, or ``otherwise`` if
-    ``findings`` contain neither. The values of the status are the id of the finding in the message,
-    ``pairs``, and the text of each finding. Findings in ``noted`` are marked as 'earlier', and
-    change neither level nor message.
+    The message of the status is the first warning or error in ``findings``, followed by the ids of
+    the others; without warnings and errors, it is ``otherwise``. The values of the status are the
+    id of the finding in the message, ``pairs``, and the text of each finding. Findings in ``noted``
+    are marked as 'earlier', and change neither level nor message.
     """
     # a finding about an event already states when the event happened
     marked_findings = [(f, '' if f.values.get('when') else 'now: ') for f in findings]
@@ -175,7 +175,8 @@ def input_status(
         'skipped': c.skipped,
         'of another frame_id': c.other_frame,
     }
-    # with two sample rates, most counts are totals of both sensors, but received messages are not
+    # With two sample rates, most counts are totals over both sensors, but the number of received
+    # messages is not.
     undecided_samples = c.received + c.interpolated - c.used - sum(excluded_counts.values())
     pairs: list[tuple[str, object]] = [
         ('state', health.state),
@@ -201,21 +202,21 @@ def input_status(
 
 
 def _state_text(health: StreamHealth, static_s: float) -> str:
-    static = f'{duration_text(static_s, 3)} of static data'
+    duration = f'{duration_text(static_s, 3)} of static data'
     rate = f'{health.rate_hz:.4g} Hz' if health.rate_hz else 'unknown rate'
-    measured = f'{static} so far' if static_s else 'not at rest yet, so nothing is measured'
+    measured_text = f'{duration} so far' if static_s else 'not at rest yet, so nothing is measured'
     return {
         'waiting': 'waiting for the first message',
         'learning': 'learning the rate and the noise floor; keep the IMU at rest',
-        'moving': f'moving, {rate}: {measured}',
-        'noise_increased': f'noise above the noise floor, {rate}: not used, {static} so far',
-        'noise_decreased': f'noise below the noise floor, {rate}: not used, {static} so far',
-        'at_rest': f'at rest, {rate}: {static}',
+        'moving': f'moving, {rate}: {measured_text}',
+        'noise_increased': f'noise above the noise floor, {rate}: not used, {duration} so far',
+        'noise_decreased': f'noise below the noise floor, {rate}: not used, {duration} so far',
+        'at_rest': f'at rest, {rate}: {duration}',
     }[health.state]
 
 
 FIT_NOTES = ('settling', 'not_settled', 'bias_steps', 'level_changes', 'level_changed')
-"""Findings of the fit that are listed in the status of an axis but do not change its level."""
+"""Ids of findings of a fit that the status of an axis lists, but that do not change its level."""
 
 
 @dataclass(frozen=True)
@@ -273,7 +274,7 @@ def axis_status(name: str, hardware_id: str, view: AxisView) -> DiagnosticStatus
 
 
 def _term_pairs(axis: str, term: str, c: Estimate) -> list[tuple[str, object]]:
-    """Return the value of a term in SI and datasheet units, its 95 % interval, and its status."""
+    """Return the pairs for a term: value in SI and datasheet units, 95 % interval, and status."""
     si, shown = shown_unit(axis, term, 'SI'), shown_unit(axis, term, 'deg/h')
     pairs: list[tuple[str, object]] = [
         (f'{term} [{u.name}]', value_text(c, u)) for u in (si, shown)
@@ -294,7 +295,7 @@ def _limit_findings(view: AxisView) -> list[Finding]:
 
 
 def _change_findings(view: AxisView) -> list[Finding]:
-    """Return one finding if the noise level has changed by more than the margin, else none."""
+    """Return a list with a finding if the noise level has changed by more than the margin."""
     step = view.step
     if step is None or not step.beyond(view.margin):
         return []
@@ -319,7 +320,10 @@ def _change_findings(view: AxisView) -> list[Finding]:
 
 
 def _dominant_term(view: AxisView, tau: float) -> str:
-    """Return the part of the model with the largest Allan deviation at ``tau`` (s), or ''."""
+    """Return the name of the part of the model with the largest Allan deviation at ``tau`` in s.
+
+    The name is '' if there is no model.
+    """
     if view.result is None or view.sums is None or not view.sums.tau0:
         return ''
     parts = view.result.part_adev(np.array([max(1, round(tau / view.sums.tau0))]))
@@ -330,23 +334,23 @@ def _summary(view: AxisView, static_s: float, next_term: str) -> str:
     """Return the coefficients in datasheet units, and the coefficients that need more data."""
     if view.sums is None:
         return 'no coefficients yet: no static data so far; keep the IMU at rest for a minute'
-    static = f'from {duration_text(static_s, 3)} of static data'
+    static_text = f'from {duration_text(static_s, 3)} of static data'
     if view.result is None:
-        return f'no coefficients yet, {static}'
+        return f'no coefficients yet, {static_text}'
     coefficients = []
     for term in ('N', 'B', 'K'):
         unit = shown_unit(view.axis, term, 'deg/h')
         text = value_text(view.result.fit.noise[term], unit)
         if text != '-':
             coefficients.append(f'{term} {text} {unit.name}')
-    known = f'{", ".join(coefficients) or "no coefficient"} {static}'
-    return f'{known}; {next_term}' if next_term else known
+    coefficients_text = f'{", ".join(coefficients) or "no coefficient"} {static_text}'
+    return f'{coefficients_text}; {next_term}' if next_term else coefficients_text
 
 
 def _next_term(view: AxisView) -> str:
     """Return text such as 'B and K need 2 h at rest'; '' if all relevant terms are resolved."""
     if view.result is None or view.method != 'likelihood':
-        return ''  # the prediction is valid only for this method
+        return ''  # the required time is predicted only for the method likelihood
     limits = {c.quantity: c.limit for c in view.comparisons if c.tau is None}
     recordings = view.sums.recordings if view.sums else ()
     longest = max((m.samples for r in recordings for m in r.means), default=0)
@@ -355,17 +359,18 @@ def _next_term(view: AxisView) -> str:
     if advice is None:
         return ''
     seconds, terms = advice
-    need = 'needs' if len(terms) == 1 else 'need'
-    return f'{" and ".join(terms)} {need} {duration_text(seconds)} at rest'
+    verb = 'needs' if len(terms) == 1 else 'need'
+    return f'{" and ".join(terms)} {verb} {duration_text(seconds)} at rest'
 
 
 def _longest_tau(sums: AllanSums) -> float | None:
-    levels = np.flatnonzero(sums.count)  # averaging factors with at least one difference
-    return float(sums.m[levels[-1]] * sums.tau0) if len(levels) and sums.tau0 else None
+    # indices of the averaging factors with at least one difference
+    indices = np.flatnonzero(sums.count)
+    return float(sums.m[indices[-1]] * sums.tau0) if len(indices) and sums.tau0 else None
 
 
 def metrics_text(statuses: Sequence[DiagnosticStatus]) -> str:
-    """Return the text of a file with statuses for the textfile collector of Prometheus.
+    """Return statuses as the text of a file for the textfile collector of Prometheus.
 
     Examples
     --------

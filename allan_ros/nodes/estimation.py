@@ -58,22 +58,23 @@ from .node_settings import EstimatorSettings, home_of
 from .shell import LATCHED, Worker
 
 FIT_SHARE = 0.05
-"""Largest share of one CPU core that fits may use."""
+"""Largest share of one CPU core that fits use. It determines the pause after a fit, up to
+`LONGEST_WAIT_S`."""
 
 LONGEST_WAIT_S = 20.0
-"""Longest pause in s between two fits that `FIT_SHARE` causes."""
+"""Longest pause in s after a fit, even if fits then use more than `FIT_SHARE` of a CPU core."""
 
 STALE_PERIODS = 3.0
-"""Number of publishing periods without sums after which sums are reported as missing."""
+"""Allan sums are reported as missing if none arrive for this number of publishing periods."""
 
 ALONE_S = 5.0
-"""Time in s after which sums are reported as missing if no publisher has been discovered."""
+"""Time in s after which Allan sums are reported as missing if no publisher is discovered."""
 
 
 class ImuEstimate(NodePart):
-    """Fits the sums of one IMU when they have grown enough, and publishes the noise model.
+    """Fits the Allan sums of one IMU when they have grown enough, and publishes the noise model.
 
-    If more than `REPLACED_SHARE` of the samples are removed from the sums, the model is
+    If more than `REPLACED_SHARE` of the samples are removed from the Allan sums, the model is
     invalidated: a noise model without axes is published, the statuses show a warning instead of the
     coefficients, and the sums are fitted again. ``listeners`` are called with every published noise
     model, and again with the present bias at rest when new sums arrive. ``worker`` runs the fits,
@@ -102,11 +103,12 @@ class ImuEstimate(NodePart):
         self._invalidated: Finding | None = None
         self._faults: tuple[Finding, ...] = ()
         self._fitting: Future[Fitted] | None = None
-        self._driven: tuple[DriveErrors, ...] = ()  # drives of the present factors in motion
+        # drives from which the present factors in motion were computed
+        self._driven: tuple[DriveErrors, ...] = ()
         self._outdated = False  # whether the sums of the running fit have been replaced
+        self._fit_ended = self._next_fit = 0.0
         # results, margin and checks of the latest comparison
         self._compared: tuple[Results | None, float, tuple[Check, ...]] = None, 0.0, ()
-        self._fit_ended = self._next_fit = 0.0
         self._steps: dict[str, NoiseStep] = {}
         home = home_of(label)
         self._publisher = node.create_publisher(String, f'{home}noise_model', LATCHED)
@@ -116,22 +118,22 @@ class ImuEstimate(NodePart):
     def process(self, snapshot: Snapshot) -> None:
         """Process a new snapshot; fit its sums if they have grown enough or were replaced."""
         self._snapshot = snapshot
-        former, self._faults = self._faults, snapshot.faults
+        former_faults, self._faults = self._faults, snapshot.faults
         lost = replaced_share(self._fitted, snapshot.sums)
         if lost > REPLACED_SHARE:
             self._invalidate(lost, replaced_because(self._fitted, snapshot))
         window = self._settings.value.recent_window
-        self._steps = {a: one for s in snapshot.sums for a, one in noise_steps(s, window).items()}
+        self._steps = {a: step for s in snapshot.sums for a, step in noise_steps(s, window).items()}
         self._bias.update(snapshot)
         if self._results is not None:
-            if kinds_of(former) != kinds_of(self._faults):
+            if kinds_of(former_faults) != kinds_of(self._faults):
                 self._publish(self._results)
             else:
                 self._tell(self._with_faults(self._results))
         self._fit_if_due()
 
     def tick(self, now: float) -> None:
-        """Publish the result of a fit that has ended; fit again if its sums were replaced."""
+        """Publish the result of a finished fit; if its sums were replaced, fit again instead."""
         if self._fitting is None or not self._fitting.done():
             return
         fitting, self._fitting = self._fitting, None
@@ -171,7 +173,7 @@ class ImuEstimate(NodePart):
         return statuses
 
     def _comparisons(self, margin: float) -> tuple[Check, ...]:
-        """Return the checks against datasheet and baseline, computed once per fit and margin."""
+        """Return checks against datasheet and baseline, cached for the latest fit and margin."""
         results = self._results
         if results is None:
             return ()
@@ -232,7 +234,10 @@ class ImuEstimate(NodePart):
         return samples > 0 and (grown or samples < fitted)
 
     def _are_new(self, drives: Drives) -> bool:
-        """Return whether the drives differ from the drives of the present factors in motion."""
+        """Return whether the drives differ from the drives of the present factors in motion.
+
+        Fewer than `LEAST_DRIVES` drives do not count as new.
+        """
         latest, before = (
             [each.start for each in errors] for errors in (drives.errors, self._driven)
         )
@@ -251,7 +256,7 @@ class ImuEstimate(NodePart):
         self._node.get_logger().error(str(self._failed), throttle_duration_sec=60.0)
 
     def _invalidate(self, lost: float, cause: str) -> None:
-        """Invalidate the model because the share ``lost`` of its samples was removed."""
+        """Invalidate the noise model; ``lost`` is the share of its samples that was removed."""
         self._outdated = self._fitting is not None
         self._fitted, self._failed, self._next_fit = (), None, 0.0
         results, self._results = self._results, None
@@ -264,7 +269,8 @@ class ImuEstimate(NodePart):
 
     def _publish(self, results: Results) -> None:
         self._bias.set_results(results if results.axes else None)
-        if self._snapshot is not None:  # first, because listeners need the bias with the model
+        # the bias is updated first, because listeners receive it together with the model
+        if self._snapshot is not None:
             self._bias.update(self._snapshot)
         results = self._with_faults(results)
         document = result_document(results, curves=False)
@@ -334,19 +340,19 @@ class SumsInput(NodePart):
 
 
 class Fitted(NamedTuple):
-    """Results, and how they were computed."""
+    """Results, the CPU time of their computation, and whether the sums were fitted."""
 
     results: Results
-    took: float  # CPU time in s
+    took: float  # CPU time of the computation in s
     sums_were_fitted: bool  # False if only the factors in motion were computed again
 
 
 def _fit(total: Total, method: str, drives: Drives) -> Fitted:
-    began = time.thread_time()
+    start_s = time.thread_time()
     results = with_motion(analyze_sums(*total, method), drives)
-    return Fitted(results, time.thread_time() - began, True)
+    return Fitted(results, time.thread_time() - start_s, True)
 
 
 def _drive_factors(results: Results, drives: Drives) -> Fitted:
-    began = time.thread_time()
-    return Fitted(with_motion(results, drives), time.thread_time() - began, False)
+    start_s = time.thread_time()
+    return Fitted(with_motion(results, drives), time.thread_time() - start_s, False)

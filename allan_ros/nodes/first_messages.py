@@ -22,18 +22,19 @@ class FirstMessages:
     """Measures the sample rate and the mean angular rate of an IMU from some of its messages.
 
     ``rate_hz`` is the largest sample rate in Hz, according to the stamps, in any period of
-    `RATE_S`; before the end of the first period it is `FIRST_RATE_HZ`. ``bias`` is gyro axis ->
-    mean angular rate in rad/s with its standard error, updated every `RATE_S`. The mean is the bias
-    if the IMU is at rest. If the IMU turns, a covariance that covers the mean is too large.
+    `RATE_S`; before the end of the first period, it is `FIRST_RATE_HZ`. ``bias`` is gyro axis ->
+    mean angular rate in rad/s with its standard error, updated every `RATE_S`. While the IMU is at
+    rest, the mean is the bias. If the IMU turns, a covariance that covers the mean is too large.
     """
 
     def __init__(self) -> None:
         self.rate_hz = FIRST_RATE_HZ
         self.bias: dict[str, Estimate] = {}
-        self._window: tuple[int, int] | None = None  # count, and stamp in ns, at its start
-        self._has_rate = False
+        # message count, and stamp in ns, at the start of the present period
+        self._window: tuple[int, int] | None = None
         self._count = 0  # number of messages at the last call of `update`
-        # number of samples, their sum, and the sum of their squares
+        self._has_rate = False
+        # of the processed angular rates: number, sum, and sum of squares
         self._number, self._total, self._squares = 0, np.zeros(3), np.zeros(3)
 
     def update(self, count: int, latest: bytes | None) -> None:
@@ -48,12 +49,13 @@ class FirstMessages:
         stamp = int(decoded.stamps_ns[0])
         if np.isfinite(rates := decoded.samples[0, SENSORS['gyro']]).all():
             self._add(rates)
-        began, since = self._window or (count, stamp)
-        seconds = (stamp - since) / NANOSECONDS
-        if self._window is None or not 0.0 <= seconds < 10.0 * RATE_S:  # a jump or a pause
+        start_count, start_stamp = self._window or (count, stamp)
+        seconds = (stamp - start_stamp) / NANOSECONDS
+        # a new period begins after a jump of the stamps or a pause
+        if self._window is None or not 0.0 <= seconds < 10.0 * RATE_S:
             self._window = count, stamp
         elif seconds >= RATE_S:
-            rate = (count - began) / seconds
+            rate = (count - start_count) / seconds
             self.rate_hz = max(rate, self.rate_hz) if self._has_rate else rate
             self._window, self._has_rate = (count, stamp), True
         else:
@@ -66,7 +68,7 @@ class FirstMessages:
         self._squares += rates**2
 
     def _mean(self) -> dict[str, Estimate]:
-        """Return the mean of each axis of the gyro; empty before the first message."""
+        """Return gyro axis -> mean angular rate in rad/s; empty before the first message."""
         if not self._number:
             return {}
         mean = self._total / self._number

@@ -21,10 +21,10 @@ SCHEMA = 'allan_ros/former_values/1'
 
 @dataclass(frozen=True)
 class Former:
-    """The value that a parameter had before it was set, and the values that were sent since.
+    """The value that a parameter had before it was set, and the values that were sent since then.
 
-    ``found`` is the former value, and ``sent`` contains the values that the parameter may have now:
-    one value, or two values while the node has not answered whether it accepts the second one.
+    ``found`` is the former value. ``sent`` contains the values that the parameter may have now: one
+    value, or two values if the node has not answered yet whether it accepts the second one.
     """
 
     found: Numbers
@@ -32,9 +32,10 @@ class Former:
 
 
 def former_values_file(node: str) -> Path:
-    """Return the path of the file for the node with this full name, in this ROS domain.
+    """Return the path of the file with the former values of a node, given its full name.
 
-    The file is in the folder ``allan_ros`` of ``ROS_HOME``, which is ``~/.ros`` by default.
+    The name of the file contains the ROS domain. The file is in the folder ``allan_ros`` of
+    ``ROS_HOME``, which is ``~/.ros`` by default.
     """
     home = Path(os.environ.get('ROS_HOME') or '~/.ros').expanduser()
     domain = os.environ.get('ROS_DOMAIN_ID') or '0'
@@ -42,12 +43,12 @@ def former_values_file(node: str) -> Path:
 
 
 class FormerValues:
-    """The former values of the parameters of one node, by parameter.
+    """A file with the former values of the parameters of one node.
 
-    A former value is written to the disk before its parameter is set, so that the value is not lost
-    if this process is killed. The file is locked while it is open: two programs that set parameters
-    of the same node would each mistake a value that the other program has set for a value of the
-    operator.
+    A former value is written to the file before its parameter is set, so that the value is not lost
+    if this process is killed. The file is locked while it is open. Without the lock, two programs
+    could set parameters of the same node, and each would mistake a value from the other program for
+    a value from the operator.
     """
 
     def __init__(self, node: str) -> None:

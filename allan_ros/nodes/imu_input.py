@@ -44,7 +44,7 @@ try:
         SubscriptionEventCallbacks,
         UnsupportedEventTypeError,
     )
-except ImportError:  # as in Humble
+except ImportError:  # in Humble, the module has another name
     from rclpy.qos_event import (
         QoSSubscriptionEventType,
         SubscriptionEventCallbacks,
@@ -57,7 +57,7 @@ QUEUE_DEPTH = 5000
 most this number of messages, which is 0.25 s of messages at 20 kHz, or about 2.5 MB."""
 
 FETCH_S, FETCH_SHARE = 0.1, 0.25
-"""Longest time in s between two fetches, and largest share of the queue that fills up meanwhile."""
+"""Longest time in s between two fetches, and largest share of the queue that may fill meanwhile."""
 
 BUFFER_BYTES, MESSAGE_BYTES = 2**26, 120
 """Largest total size in bytes of the fetched messages that are not decoded yet, and number of bytes
@@ -85,19 +85,19 @@ version of rclpy has no such class."""
 
 
 class DrainedGroup(CallbackGroup):
-    """A callback group that never allows execution: the executor ignores the subscription in it.
+    """A callback group that never permits execution, so that the executor ignores a subscription.
 
-    rclpy requires these methods of a callback group.
+    rclpy requires the methods of this class.
     """
 
     def can_execute(self, entity: Any) -> bool:
-        """Return False: the executor must not take messages of this subscription."""
+        """Return False, because the executor must not take messages of this subscription."""
         return False
 
     beginning_execution = can_execute
 
     def ending_execution(self, entity: Any) -> None:
-        """Do nothing: no execution ever begins."""
+        """Do nothing, because no execution ever begins."""
 
 
 def qos_text(qos: QoSProfile) -> str:
@@ -123,7 +123,10 @@ def _loss_event(subscription: Subscription) -> Any:
 
 
 def _take(subscription: Subscription) -> Any:
-    """Return (bytes, information) of the next message in the queue; None if the queue is empty."""
+    """Return the bytes of the next message in the queue, and a dict of information about it.
+
+    The result is None if the queue is empty.
+    """
     return subscription.handle.take_message(Imu, True)
 
 
@@ -165,13 +168,14 @@ def subscribe_raw(
 
 @dataclass
 class _Buffer:
-    """Fetched messages that are not decoded yet, and the numbers of missing messages."""
+    """Fetched messages that are not decoded yet, and counts of missing messages."""
 
     payloads: list[bytes] = field(default_factory=list)
-    received_ns: list[int] = field(default_factory=list)  # times of reception, system clock
-    arrived_s: list[float] = field(default_factory=list)  # times of reception, steady clock
+    # times of reception by the system clock, and by a clock that is never set
+    received_ns: list[int] = field(default_factory=list)
+    arrived_s: list[float] = field(default_factory=list)
     size: int = 0  # size of all messages in bytes
-    sent_before: int = 0  # messages before the first one from each publisher
+    sent_before: int = 0  # number of messages sent before the first received message
     skipped_numbers: int = 0  # number of missing sequence numbers of the publishers
 
 
@@ -187,7 +191,7 @@ class ImuInput:
         self._node = node
         self._buffer = _Buffer()
         self._lock = threading.Lock()  # protects the buffer and the queue
-        self._error: Exception | None = None  # error in the thread, which `batches` raises
+        self._error: Exception | None = None  # error in the thread; `batches` raises it
         self._closed = threading.Event()
         self._drained_s = steady_s()
         self._arrivals = Arrivals(self._statistics)
@@ -214,14 +218,14 @@ class ImuInput:
         """Fetch messages until the input is closed, often enough for the queue never to be full."""
         wait_s = FETCH_S
         while not self._closed.wait(wait_s):
-            before, count = self._drained_s, self.received
+            last_drain_s, last_count = self._drained_s, self.received
             try:
                 self.drain()
             except rclpy_implementation.InvalidHandle:  # the node was destroyed
                 return
             except Exception as error:
                 self._error = error
-            rate = (self.received - count) / max(self._drained_s - before, 1e-3)
+            rate = (self.received - last_count) / max(self._drained_s - last_drain_s, 1e-3)
             wait_s = min(FETCH_S, FETCH_SHARE * QUEUE_DEPTH / max(rate, 1.0))
 
     def _take_all(self) -> None:
@@ -242,7 +246,8 @@ class ImuInput:
                 if message is None:
                     break
                 self._collect(*message)
-        # times of reception are on the system clock, which may have been set since the last call
+        # The times of reception are from the system clock, which may have been set since the last
+        # call. They are therefore limited to the time since the last call.
         now_s = steady_s()
         received_s = np.array(buffer.received_ns[before:], np.int64) / NANOSECONDS
         arrived_s = np.clip(received_s - (time.time() - now_s), self._drained_s, now_s)
@@ -279,10 +284,10 @@ class ImuInput:
             yield replace(batch, samples=batch.samples * self._scale)
 
     def publishers(self) -> tuple[tuple[str, ...], tuple[Finding, ...]]:
-        """Return the node names of all publishers on the topic, and findings.
+        """Return the names of the nodes that publish on the topic, and findings.
 
-        The findings report publishers whose messages cannot be received, because their message type
-        differs or their QoS is incompatible.
+        A finding reports publishers whose messages cannot be received because of another message
+        type or an incompatible QoS.
         """
         endpoints = self._node.get_publishers_info_by_topic(self.topic)
         return tuple(map(full_name, endpoints)), self._mismatches(endpoints)
@@ -296,8 +301,8 @@ class ImuInput:
                 for topic, kinds in self._node.get_topic_names_and_types()
                 if IMU_TYPE in kinds and topic != self.topic
             ]
-            shown = ', '.join(sorted(topics)[:SUGGESTED_TOPICS])
-            candidates = f', such as {shown}' if shown else ''
+            suggestions = ', '.join(sorted(topics)[:SUGGESTED_TOPICS])
+            candidates = f', such as {suggestions}' if suggestions else ''
             return (finding('wrong_type', topic=self.topic, types=types, candidates=candidates),)
         mismatches = []
         for publisher in imu_publishers:
@@ -305,8 +310,8 @@ class ImuInput:
             compatibility, reason = qos_check_compatible(publisher.qos_profile, own_qos)
             if compatibility == QoSCompatibility.ERROR:
                 values = {'names': full_name(publisher), 'topic': self.topic}
-                why = one_line(reason).removeprefix('ERROR: ').strip('; ')
-                mismatches.append(finding('qos_incompatible', reason=why, **values))
+                reason_text = one_line(reason).removeprefix('ERROR: ').strip('; ')
+                mismatches.append(finding('qos_incompatible', reason=reason_text, **values))
         return tuple(mismatches)
 
     @property
@@ -323,7 +328,7 @@ class ImuInput:
     def statistics(self) -> TransportStatistics:
         """Return the numbers of received, lost and malformed messages.
 
-        Messages that `batches` has not decoded yet are not counted as received.
+        Messages count as received when `batches` has decoded them.
         """
         if self._loss is not None:
             with self._loss:
@@ -344,13 +349,13 @@ class ImuInput:
         buffer = self._buffer
         buffer.payloads.append(payload)
         buffer.size += len(payload) + MESSAGE_BYTES
-        if info is None:  # the executor has called this method
+        if info is None:  # this method is used as a callback
             buffer.received_ns.append(time.time_ns())
             buffer.arrived_s.append(steady_s())
             return
         buffer.received_ns.append(info['received_timestamp'])
         number = info.get('publication_sequence_number')
-        if number is None:  # as in Humble
+        if number is None:  # Humble provides no sequence numbers
             return
         gid = info.get('publisher_gid')
         publisher = b'' if gid is None else gid['data']
@@ -364,13 +369,13 @@ class ImuInput:
 
 
 def steady_s() -> float:
-    """Return the time in s of a clock that is never set and, on Linux, also runs in standby."""
+    """Return the time in s of a clock that is never set; on Linux, it also runs during standby."""
     boot = getattr(time, 'CLOCK_BOOTTIME', None)
     return time.monotonic() if boot is None else time.clock_gettime(boot)
 
 
 def full_name(endpoint: Any) -> str:
-    """Return namespace and name of the node that owns a publisher or subscriber."""
+    """Return the full name of the node that owns a publisher or subscriber, for messages."""
     if endpoint.node_name == NAMELESS:
         return 'an unnamed node'
     return one_line(f'{endpoint.node_namespace.rstrip("/")}/{endpoint.node_name}')

@@ -23,10 +23,10 @@ from .messages import Snapshot
 from .shell import LATCHED
 
 HOST = '127.0.0.1'
-"""Address of the server: only this machine can connect, unless a tunnel or proxy forwards it."""
+"""Address of the server. Other machines can connect only through a tunnel or proxy."""
 
 RELOAD_S = 10
-"""Time in s after which the browser reloads the page."""
+"""Period in s at which the browser reloads the page."""
 
 SUMS_TOPIC = '/sums', ['std_msgs/msg/String']
 """End of the name of a topic with Allan sums, and the message types of such a topic."""
@@ -39,11 +39,11 @@ MOST_REQUESTS, REQUEST_S = 16, 10.0
 its client. The server closes the connections of further requests and of slower requests."""
 
 STALE_SUMS_S = 60.0
-"""Age in s from which sums are shown as out of date; nodes publish them every 10 s."""
+"""Age in s from which Allan sums are shown as out of date; nodes publish them about every 10 s."""
 
 
 class _Server(ThreadingHTTPServer):
-    """Serves each request in a thread, at most `MOST_REQUESTS` at a time."""
+    """HTTP server that answers each request in a thread, at most `MOST_REQUESTS` at a time."""
 
     daemon_threads = True
 
@@ -67,7 +67,7 @@ class _Server(ThreadingHTTPServer):
 
 
 class LivePage:
-    """Subscribes to the sums of all accumulators, and serves their reports over HTTP.
+    """Subscribes to the Allan sums of all accumulators, and serves reports of them over HTTP.
 
     A report is rendered when a browser requests it. ``port`` is the TCP port; 0 selects a free one.
     Raises AllanError if the port is in use.
@@ -75,7 +75,8 @@ class LivePage:
 
     def __init__(self, node: Node, port: int) -> None:
         self._node = node
-        self._sums: dict[str, tuple[float, str]] = {}  # topic -> time in s and latest document
+        # topic -> time in s at which the latest document was received, and this document
+        self._sums: dict[str, tuple[float, str]] = {}
         self._subscriptions: dict[str, Any] = {}
         try:
             self._server = _Server((HOST, port), _handler_of(self))
@@ -94,9 +95,13 @@ class LivePage:
 
     def discover(self) -> None:
         """Subscribe to the sums of accumulators that have started since the last call."""
-        end, types = SUMS_TOPIC
+        name_end, types = SUMS_TOPIC
         for topic, topic_types in self._node.get_topic_names_and_types():
-            if topic not in self._subscriptions and topic.endswith(end) and topic_types == types:
+            if (
+                topic not in self._subscriptions
+                and topic.endswith(name_end)
+                and topic_types == types
+            ):
                 self._subscriptions[topic] = self._node.create_subscription(
                     String, topic, partial(self.on_sums, topic), LATCHED
                 )
@@ -111,7 +116,7 @@ class LivePage:
         If the path is the name of a topic, the page is the report of this topic. The page of '/' is
         the list of topics or, if there is only one topic, the report of this topic.
         """
-        sums = dict(self._sums)  # another thread adds topics
+        sums = dict(self._sums)  # a copy, because another thread adds topics
         topic = next(iter(sums)) if path == '/' and len(sums) == 1 else path
         if topic in sums:
             received, text = sums[topic]
@@ -120,7 +125,7 @@ class LivePage:
         return _index(sorted(sums)) if path == '/' else None
 
     def close(self) -> None:
-        """Stop serving."""
+        """Stop the server."""
         self._server.shutdown()
         self._server.server_close()
         self._thread.join()
@@ -131,20 +136,20 @@ def _report(topic: str, text: str) -> str:
     try:
         snapshot = Snapshot.from_json(text)
         results = analyze_sums(*snapshot.total)
-        when = time.strftime('%H:%M:%S')
-        method = {'topic': topic, 'computed at': when}
+        now_text = time.strftime('%H:%M:%S')
+        method = {'topic': topic, 'computed at': now_text}
         return render_report(results, 'deg/h', method=method)
     except AllanError as error:
         return _notice(f'{topic}: {error}')
 
 
 def _with_age(html: str, age_s: float, is_running: bool) -> str:
-    """Insert a first line into the page ``html`` that states how old the data of the page are."""
+    """Return the page ``html`` with an added first line that states the age of the data."""
     is_stale = age_s > STALE_SUMS_S or not is_running
     text = f'live at {time.strftime("%H:%M:%S")}; data received {duration_text(age_s)} ago'
     if is_stale:
-        why = 'the node no longer publishes' if is_running else 'the node has stopped'
-        text = f'OUT OF DATE: {why}; last data {duration_text(age_s)} ago'
+        reason = 'the node no longer publishes' if is_running else 'the node has stopped'
+        text = f'OUT OF DATE: {reason}; last data {duration_text(age_s)} ago'
     style = 'background:#a00;color:#fff;' if is_stale else ''
     line = f'<p id="live" role="status" style="{style}margin:0;padding:.3em 1em">{text}</p>'
     return re.sub('<body[^>]*>', lambda body: body[0] + line, html, count=1)
@@ -169,11 +174,11 @@ def _handler_of(page: LivePage) -> type[BaseHTTPRequestHandler]:
     class Handler(BaseHTTPRequestHandler):
         """Answers GET with a page that the browser reloads periodically."""
 
-        timeout = REQUEST_S  # per socket operation, because a client may send half a request
+        timeout = REQUEST_S  # for each socket operation; a client may send only half a request
 
         def do_GET(self) -> None:
-            # A web page of another site could read the report through a host name that resolves
-            # to this machine (DNS rebinding).
+            # Otherwise, a web page of another site could read the report through a host name that
+            # resolves to this machine (DNS rebinding).
             if self.headers.get('Host', '').rsplit(':', 1)[0] not in (HOST, 'localhost'):
                 self.send_error(403)
                 return

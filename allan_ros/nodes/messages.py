@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Messages that the nodes publish for each IMU: the Allan sums and the bias at rest."""
+"""Messages that nodes publish for each IMU: one with the Allan sums, one with the bias at rest."""
 
 from __future__ import annotations
 
@@ -53,12 +53,12 @@ NO_VARIANCE = -1.0
 class Snapshot:
     """The Allan sums at one time, and the IMU that is connected at that time.
 
-    ``total`` contains the sums and their provenance. ``frame_id``, ``hardware_id`` and ``axes``
-    describe the messages that are received, which may come from another IMU than the sums. ``axes``
-    are also known while there are no sums. ``means`` are means over 1 s of the latest samples at
-    rest, in SI; each `Means` contains the axes with the same sample rate. ``faults`` are findings
-    about the present samples: faults, motion, and more noise than in the sums. ``drives`` are the
-    latest drives between two rests; the document of a snapshot does not contain the drives.
+    ``total`` contains the Allan sums and their provenance. ``frame_id``, ``hardware_id`` and
+    ``axes`` describe the messages that are received at that time; the sums may come from another
+    IMU. ``axes`` are also known while there are no sums. ``means`` are means over 1 s of the latest
+    samples at rest, in SI; each `Means` contains the axes with the same sample rate. ``faults`` are
+    findings about the present samples: faults, motion, and more noise than in the sums. ``drives``
+    are the latest drives between two rests; the document of a snapshot does not contain the drives.
     """
 
     total: Total
@@ -90,15 +90,15 @@ class Snapshot:
         )
 
     def to_document(self) -> dict[str, Any]:
-        """Return the document of a sums file, extended by the connected IMU, means and faults."""
+        """Return the JSON object of a sums file, with the connected IMU, means and faults."""
         imu = {'frame_id': self.frame_id, 'hardware_id': self.hardware_id, 'axes': [*self.axes]}
         means = [
             {
-                'axes': list(one.axes),
-                'end_ns': one.end_ns.tolist(),
-                'values': [[float(f'{value:.9g}') for value in row] for row in one.values],
+                'axes': list(each_means.axes),
+                'end_ns': each_means.end_ns.tolist(),
+                'values': [[float(f'{value:.9g}') for value in row] for row in each_means.values],
             }
-            for one in self.means
+            for each_means in self.means
         ]
         live = {'imu': imu, 'means': means, 'faults': [each.document() for each in self.faults]}
         return {**sums_file_to_document(*self.total), **live}
@@ -124,19 +124,19 @@ class Snapshot:
 
 
 def _means(documents: Any) -> tuple[Means, ...]:
-    """Read the means from a document; raise AllanError unless they are rows of finite numbers."""
+    """Return the means in a document; raise AllanError unless they are rows of finite numbers."""
     try:
         means = tuple(
             Means(
-                tuple(str(axis) for axis in one['axes']),
-                np.array(one['end_ns'], np.int64),
-                np.array(one['values'], float).reshape(len(one['end_ns']), len(one['axes'])),
+                tuple(str(axis) for axis in each['axes']),
+                np.array(each['end_ns'], np.int64),
+                np.array(each['values'], float).reshape(len(each['end_ns']), len(each['axes'])),
             )
-            for one in documents
+            for each in documents
         )
     except (TypeError, ValueError, KeyError, OverflowError) as error:
         raise AllanError(f'sums: its means cannot be read ({error!r})') from error
-    if not all(np.isfinite(one.values).all() for one in means):
+    if not all(np.isfinite(each.values).all() for each in means):
         raise AllanError('sums: its means are not finite numbers')
     return means
 
@@ -163,14 +163,17 @@ REPLACING = ('relearned', 'noise_increased', 'noise_decreased', 'gyro_unit_chang
 
 
 def replaced_because(before: Sequence[AllanSums], snapshot: Snapshot) -> str:
-    """Return why samples in the sums ``before`` are missing in a snapshot, as a clause."""
-    connected = ImuIdentity(snapshot.frame_id, snapshot.hardware_id)
-    former = next((s.identity for s in before), connected)
-    if (former.frame_id, former.hardware_id) != (connected.frame_id, connected.hardware_id):
-        former_name, connected_name = (
-            one_line(str(i.hardware_id or i.frame_id)) for i in (former, connected)
+    """Return a clause that states why samples in the sums ``before`` are missing in a snapshot."""
+    present_identity = ImuIdentity(snapshot.frame_id, snapshot.hardware_id)
+    former_identity = next((s.identity for s in before), present_identity)
+    if (former_identity.frame_id, former_identity.hardware_id) != (
+        present_identity.frame_id,
+        present_identity.hardware_id,
+    ):
+        former_name, present_name = (
+            one_line(str(i.hardware_id or i.frame_id)) for i in (former_identity, present_identity)
         )
-        return f'messages of "{connected_name}" arrive instead of "{former_name}"'
+        return f'messages of "{present_name}" arrive instead of "{former_name}"'
     if not snapshot.sums:
         return 'the Allan sums were reset'
     reasons = [f for f in snapshot.total[1].findings if f.id in REPLACING]
@@ -187,13 +190,14 @@ def _lost(old: AllanSums, new: AllanSums) -> int:
     lost = sum(
         samples - min(samples, present[start])
         for start, samples in _samples_by_start(old).items()
-        if start in present or samples > shortest  # shorter segments are not listed
+        # short segments may be missing only because the length of the list is limited
+        if start in present or samples > shortest
     )
     return max(lost, old.samples - new.samples)
 
 
 def _samples_by_start(sums: AllanSums) -> Counter[int]:
-    """Return the stamp of the start in ns -> number of samples, for each listed segment."""
+    """Return stamp in ns of the start -> number of samples, for each listed segment."""
     samples: Counter[int] = Counter()
     for segment in (m for r in sums.recordings for m in r.means):
         samples[segment.start_ns] += segment.samples
@@ -201,10 +205,10 @@ def _samples_by_start(sums: AllanSums) -> Counter[int]:
 
 
 def kinds_of(faults: Iterable[Finding]) -> frozenset[tuple[str, tuple[str, ...], int]]:
-    """Return the kinds of the findings about the present samples.
+    """Return the kinds of the findings ``faults`` about the present samples.
 
-    When the kinds change, the sums are published at once. A kind consists of the id, the axes, and
-    the ratio of the noise to earlier noise, rounded to a power of 1.19.
+    When the kinds change, the Allan sums are published at once. A kind consists of the id, the
+    axes, and the ratio of the noise to earlier noise, rounded to a power of 1.19.
     """
     ratios = ((f, float(f.values.get('ratio') or 1.0)) for f in faults)
     return frozenset((f.id, f.axes, round(4.0 * math.log2(ratio))) for f, ratio in ratios)
@@ -216,7 +220,7 @@ bias. Results without axes mean that the model is invalidated."""
 
 
 class BiasPublisher:
-    """Estimates the bias of each axis at rest, and publishes it.
+    """Estimates the bias of each axis at rest, and publishes the biases.
 
     ``home`` is the prefix of the topic, such as ``~/`` or ``~/<label>/``.
     """
@@ -228,7 +232,7 @@ class BiasPublisher:
         self._turn_on: dict[str, TurnOnBias] = {}
 
     def update(self, snapshot: Snapshot) -> None:
-        """Update the bias with the means in a snapshot, and publish the bias if a mean is new."""
+        """Update the biases with the means in a snapshot; publish them if a mean is new."""
         for means in snapshot.means:
             for i, axis in enumerate(means.axes):
                 self._tracker.add_means(axis, means.end_ns.tolist(), means.values[:, i].tolist())
@@ -238,13 +242,16 @@ class BiasPublisher:
             self._publisher.publish(bias_message(biases, latest, snapshot.frame_id))
 
     def set_results(self, results: Results | None) -> None:
-        """Compute the bias with the noise models of these results; None removes the models."""
+        """Use the noise models of these results for the biases; None removes the models."""
         axes = results.axes if results is not None else {}
         self._turn_on = {axis: r.turn_on for axis, r in axes.items() if r.turn_on is not None}
         self._tracker.set_models({axis: BiasModel.of_fit(r.fit) for axis, r in axes.items()})
 
     def values(self, axis: str, unit: str) -> list[tuple[str, object]]:
-        """Return (key, value) pairs for the status of an axis; none while the bias is unknown."""
+        """Return (key, value) pairs for the status of an axis; none while the bias is unknown.
+
+        ``unit`` is the SI unit of the bias.
+        """
         bias = self._tracker.bias(axis)
         if bias is None:
             return []
@@ -289,7 +296,7 @@ def bias_message(
 
 
 def bias_of(message: TwistWithCovarianceStamped) -> dict[str, Estimate]:
-    """Return axis -> bias in SI from a message that `bias_message` has made."""
+    """Return axis -> bias in SI, read from a message that `bias_message` has made."""
     twist, biases = message.twist.twist, {}
     for axis, row in TWIST_ROWS.items():
         sensor, letter = axis.split('_')

@@ -26,10 +26,9 @@ def motion_status(
 ) -> DiagnosticStatus:
     """Return the status of the errors in motion of one IMU.
 
-    ``drives`` are the latest drives, and ``results`` contains the factors in motion; it is None
-    before the first noise model. A factor in motion is the error in motion divided by its
-    prediction from the noise at rest. A factor is a warning if its 95 % interval lies above
-    ``limit``.
+    ``drives`` are the latest drives. ``results`` contain the factors in motion, and are None before
+    the first noise model. A factor in motion is the error in motion divided by its prediction from
+    the noise at rest. If the 95 % interval of a factor lies above ``limit``, there is a warning.
     """
     unused = sum(drives.unused.values())
     pairs: list[tuple[str, object]] = [('drives', len(drives.errors)), ('drives not used', unused)]

@@ -47,9 +47,9 @@ RCLPY_PARAMETERS = ('use_sim_time', 'start_type_description_service')
 
 
 class ParameterGroup(Generic[T]):
-    """One group of parameters, such as ``input``.
+    """One group of ROS parameters, such as ``input``.
 
-    ``value`` contains the present values of the parameters ``<prefix>.<field>``.
+    ``value`` is a settings object with the present values of the parameters ``<prefix>.<field>``.
     """
 
     def __init__(self, prefix: str, value: T) -> None:
@@ -60,21 +60,21 @@ class ParameterGroup(Generic[T]):
 
         Raises AllanError if a value is invalid.
         """
-        start = f'{self.prefix}.'
-        own_parameters = [p for p in parameters if p.name.startswith(start)]
+        name_start = f'{self.prefix}.'
+        own_parameters = [p for p in parameters if p.name.startswith(name_start)]
         if not own_parameters:
             return self.value
-        new_values = {p.name[len(start) :]: _from_ros(p.value) for p in own_parameters}
-        made: T = replace(self.value, **new_values)  # type: ignore[type-var]
-        return made
+        new_values = {p.name[len(name_start) :]: _from_ros(p.value) for p in own_parameters}
+        new_settings: T = replace(self.value, **new_values)  # type: ignore[type-var]
+        return new_settings
 
 
 class Parameters:
     """The checked parameters of a node.
 
-    An invalid value is rejected with a reason: at start by an exception, at run time by the result
-    of the service. Parameters that are set atomically are all accepted or all rejected, also across
-    groups.
+    An invalid value is rejected with a reason: at the start by an exception, later by the answer of
+    the service. Parameters of one atomic request, even of several groups, are either all accepted
+    or all rejected.
     """
 
     def __init__(self, node: Node) -> None:
@@ -91,21 +91,22 @@ class Parameters:
         their defaults. Raises AllanError if a value given at start is invalid or has the wrong
         type, and ParameterException (rclpy) if a value is outside its range.
         """
-        # rclpy calls `_on_set` for each declaration, but a value may be invalid without the others
+        # The group is removed during the declarations. rclpy calls `_on_set` for each declaration,
+        # but a value may be invalid before the other values are declared.
         group = self._groups.pop(prefix, ParameterGroup(prefix, settings_type()))
         declared_values = {}
         for name, info in describe(settings_type).items():
-            full = f'{prefix}.{name}'
-            if self._node.has_parameter(full) or (names and name not in names):
+            full_name = f'{prefix}.{name}'
+            if self._node.has_parameter(full_name) or (names and name not in names):
                 continue
             default = getattr(group.value, name)
             value = to_ros(default)
             try:
-                declared = self._node.declare_parameter(full, value, descriptor(info, default))
+                declared = self._node.declare_parameter(full_name, value, descriptor(info, default))
             except InvalidParameterTypeException as error:
-                wrong = self._node._parameter_overrides[full].value
+                given_value = self._node._parameter_overrides[full_name].value
                 raise AllanError(
-                    f'parameter {full} is {wrong!r}: give a value such as {value!r}'
+                    f'parameter {full_name} is {given_value!r}: give a value such as {value!r}'
                 ) from error
             declared_values[name] = _from_ros(declared.value)
         group.value = replace(group.value, **declared_values)
@@ -113,9 +114,11 @@ class Parameters:
         return group
 
     def unknown(self) -> list[str]:
-        """Return a warning for each parameter given at start that no allan_ros node declares."""
+        """Return a warning for each parameter given at start that no node of allan_ros declares."""
         known_names = [
-            f'{prefix}.{name}' for prefix, made in GROUPS.items() for name in describe(made)
+            f'{prefix}.{name}'
+            for prefix, settings_type in GROUPS.items()
+            for name in describe(settings_type)
         ]
         given_values: dict[str, Any] = getattr(self._node, '_parameter_overrides', {})
         return [
@@ -135,12 +138,13 @@ class Parameters:
         ]
 
     def _on_set(self, parameters: list[Parameter]) -> SetParametersResult:
-        """Apply all parameters or none."""
+        """Accept all parameters of a request, or none."""
         try:
             changed = [(group, group.changed(parameters)) for group in self._groups.values()]
         except AllanError as error:
             return SetParametersResult(successful=False, reason=str(error))
-        for p in parameters:  # rclpy checks this one only after this callback
+        # rclpy itself checks use_sim_time only after this callback
+        for p in parameters:
             if p.name == 'use_sim_time' and p.type_ != Parameter.Type.BOOL:
                 return SetParametersResult(successful=False, reason='use_sim_time must be a bool')
         for group, value in changed:
@@ -177,9 +181,12 @@ def _from_ros(value: Any) -> Any:
 
 def _suggestion(name: str, known_names: list[str]) -> str:
     """Return '; did you mean ...?' with known parameters that have a similar name, or ''."""
-    same_field = [full for full in known_names if full.endswith(f'.{name}')]
+    same_field = [full_name for full_name in known_names if full_name.endswith(f'.{name}')]
     group_switches = [f'{name}.{field}' for field in ('path', 'enabled', 'node')]
-    candidates = [*same_field, *(full for full in group_switches if full in known_names)]
+    candidates = [
+        *same_field,
+        *(full_name for full_name in group_switches if full_name in known_names),
+    ]
     candidates = candidates or get_close_matches(name, known_names, 1, 0.7)
     return f'; did you mean {" or ".join(dict.fromkeys(candidates))}?' if candidates else ''
 
@@ -187,7 +194,8 @@ def _suggestion(name: str, known_names: list[str]) -> str:
 class Periodic:
     """Decides when a periodic task is due. ``period`` returns the period in s, which may change.
 
-    One ROS timer that polls several `Periodic` takes a third of the CPU time of separate timers.
+    One ROS timer that polls several `Periodic` objects takes a third of the CPU time of separate
+    ROS timers.
     """
 
     def __init__(self, period: Callable[[], float]) -> None:
@@ -197,7 +205,7 @@ class Periodic:
         """Return whether the task is due at the time ``now`` of the monotonic clock, in s."""
         if now - self._last < self._period():
             return False
-        # If the call is more than one period late, the missed times are not made up for.
+        # If the call is more than one period late, the missed periods are skipped.
         self._last = max(self._last + self._period(), now - self._period())
         return True
 
@@ -249,7 +257,7 @@ class AllanNode(Node):
         for part in reversed(self._parts):
             try:
                 part.close()
-            except Exception as error:  # the other checkpoints must still be written
+            except Exception as error:  # other parts must still write their checkpoints
                 self.fault('close', error)
 
     def fault(self, where: str, error: Exception) -> None:

@@ -19,17 +19,17 @@ from ..core.settings import CheckedSettings, SegmenterSettings, fixed_parameter,
 
 SETTLED_RATIO = 1.5
 """Largest ratio of the upper to the lower end of the 95 % interval of a number that is given to a
-state estimator. Numbers from a short record are upper limits, which later fall by orders of
-magnitude."""
+state estimator. Numbers from a short recording are upper limits, which fall by orders of magnitude
+when the recording becomes longer."""
 
 
 def home_of(label: str) -> str:
-    """Return the prefix of the topics and services of an IMU; a single IMU has the label ''."""
+    """Return the prefix of the topics and services of an IMU; ``label`` is '' for a single IMU."""
     return f'~/{label}/' if label else '~/'
 
 
 class WatchedImu(NamedTuple):
-    """One IMU of a node.
+    """An IMU whose messages a node receives.
 
     ``label`` is '' for a single IMU. ``checkpoint`` is a path, or '' without a checkpoint.
     ``accel_topic`` is '' unless the accelerometer has its own topic.
@@ -43,7 +43,7 @@ class WatchedImu(NamedTuple):
 
     @property
     def accel(self) -> WatchedImu:
-        """The accelerometer as an IMU with its own topics and checkpoint."""
+        """The accelerometer with its own topic, as an IMU with its own label and checkpoint."""
         file = Path(self.checkpoint)
         path = str(file.with_name(f'{file.stem}_accel{file.suffix}')) if self.checkpoint else ''
         label = f'{self.label}_accel' if self.label else 'accel'
@@ -106,7 +106,7 @@ class InputSettings(CheckedSettings):
             )
 
     def imus(self, checkpoint: str = '') -> list[WatchedImu]:
-        """Return one entry per topic; without ``labels``, several IMUs are labeled by topic.
+        """Return the IMU of each topic; without ``labels``, several IMUs are labeled by topic.
 
         ``checkpoint`` is the parameter ``checkpoint.path``: a file for one IMU, a folder for
         several, or ''.

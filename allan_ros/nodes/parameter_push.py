@@ -14,8 +14,8 @@ Conditions
   measured in drives of this robot.
 - The input has no fault.
 - The 95 % interval of the value is narrow (`SETTLED_RATIO`).
-- The value differs from the found value by at most the factor ``push.max_factor``. The found value
-  is the value that the parameter had before this node set it.
+- The value and the found value differ by at most the factor ``push.max_factor``. The found value is
+  the value that the parameter had before this node set it.
 - The found value has been written to the disk (`FormerValues`).
 
 Restoring
@@ -57,34 +57,34 @@ from .node_settings import SETTLED_RATIO, PushSettings
 from .push_plan import GAINS_WAIT, Numbers, Proposal, PushPlan, load_plan, text_of
 
 ANSWER_S = 5.0
-"""Time in s to wait for an answer of the node. Without an answer, the next update tries again."""
+"""Longest time in s to wait for an answer of the other node; the next update then tries again."""
 
 RETRY_S = 1.0
-"""Period in s at which an update is retried until values and node are available."""
+"""Period in s at which an update is tried until both values and the other node are available."""
 
 CLOSING_S = 0.5
-"""Time in s to wait for all answers to a request while this node ends."""
+"""Longest time in s to wait for the answers of the other node while this node ends."""
 
 LONGEST_REASON = 200
-"""Number of characters after which the reason that a node gives for a refusal is cut off."""
+"""Largest number of shown characters of the reason that a node gives for a refusal."""
 
 KILLED = 'the program that had set it was killed'
-"""Reason for restoring the values that the file of `FormerValues` contains at the start."""
+"""Reason for restoring values that the file of `FormerValues` contains when the node starts."""
 
 Requests = Generator[list[Any], list[Any], None]
-"""Generator that yields the futures of requests to the node, and receives the answers."""
+"""Generator that yields futures of requests to the other node, and receives the answers."""
 
 
 @dataclass
 class Held:
-    """What is known about one parameter of the node ``push.node``; () means no value."""
+    """The known values of one parameter of the node ``push.node``; () means no value."""
 
     now: Numbers  # value when the parameter was last read or set
     found: Numbers = ()  # value that the parameter had before it was set
-    sent: tuple[Numbers, ...] = ()  # values sent to the node, of which it may have any
+    sent: tuple[Numbers, ...] = ()  # values sent to the node; the parameter may have any of them
     refused: Numbers = ()  # latest value that the node has refused
-    origin: str = ''  # how the present value was computed
-    changed_by_others: bool = False  # if so, the parameter is not set any more
+    origin: str = ''  # text that states how the present value was computed
+    changed_by_others: bool = False  # if True, the parameter is not set any more
 
 
 class ParameterPush(NodePart):
@@ -105,12 +105,12 @@ class ParameterPush(NodePart):
         self._invalid = 'there is no noise model'  # why no value may be set, or ''
         self._reason = ''  # value of `_refusal` at the last update
         self._held: dict[str, Held] = {}
-        # parameter, or '' for the node -> (whether it is a warning, text)
+        # name of a parameter, or '' for the node -> note: (whether it is a warning, text)
         self._notes: dict[str, tuple[bool, str]] = {}
         self._requests: Requests | None = None  # the generator that waits for `_answers`
         self._answers: list[Any] = []  # futures of the answers
         self._asked_at = self._due_at = 0.0
-        self._former: FormerValues | None = None  # the file, once it is open
+        self._former: FormerValues | None = None  # None until the file with former values is open
         self._was_killed = False  # whether values of an earlier program must be restored
         if target:
             self._set = owner.create_client(SetParameters, f'{target}/set_parameters')
@@ -122,7 +122,7 @@ class ParameterPush(NodePart):
 
         Results without axes mean that the model is invalidated.
         """
-        # a fault without axes means that data are missing; then the model is still valid
+        # if a fault has no axes, data are missing, but the noise model is still valid
         faults = [fault for fault in faults_of(results.findings) if fault.axes]
         self._results, self._bias = results, bias
         self._invalid = '' if results.axes else 'the noise model was invalidated'
@@ -146,7 +146,7 @@ class ParameterPush(NodePart):
                 self._note('', f'{self.node} did not answer within {ANSWER_S:g} s')
             return
         if self._refusal != self._reason:
-            self._reason, self._due_at = self._refusal, 0.0  # update at once
+            self._reason, self._due_at = self._refusal, 0.0  # an update is due at once
         if self._plan is None or now < self._due_at:
             return
         self._due_at = now + RETRY_S
@@ -178,7 +178,7 @@ class ParameterPush(NodePart):
                 pairs[f'origin of {name}'] = held.origin
                 if held.now != held.found:
                     changes.append(f'{name} = {text_of(held.now)} (was {text_of(held.found)})')
-        said = f'set {", ".join(changes)}' if changes else 'nothing set yet'
+        changes_text = f'set {", ".join(changes)}' if changes else 'nothing set yet'
         has_warning = any(warning for warning, _ in self._notes.values())
         for row in self._gains:
             pairs[f'{row.name} at rest, not set [{row.unit}]'] = text_of(row.values)
@@ -186,7 +186,9 @@ class ParameterPush(NodePart):
         status = DiagnosticStatus(
             level=DiagnosticStatus.WARN if has_warning and enabled else DiagnosticStatus.OK,
             name=status_name(self._owner, f'parameters of {self.node}'),
-            message='; '.join([said if enabled else 'off: push.enabled is false', *problems]),
+            message='; '.join(
+                [changes_text if enabled else 'off: push.enabled is false', *problems]
+            ),
             values=key_values(pairs.items()),
         )
         return [status]
@@ -194,8 +196,8 @@ class ParameterPush(NodePart):
     def close(self) -> None:
         """Restore the found values, because no program would restore them after this node ends.
 
-        If the other node does not answer, the found values are sent without reading the present
-        values first. If they do not arrive, the next start of this node restores them.
+        If the other node does not answer, the found values are sent although the present values
+        could not be read. If they do not arrive, the next start of this node restores them.
         """
         self._cancel()
         self._plan = None
@@ -215,17 +217,17 @@ class ParameterPush(NodePart):
         """Wait for answers and send the requests that follow, for at most `CLOSING_S`."""
         deadline = time.monotonic() + CLOSING_S
         while not all(future.done() for future in self._answers):
-            if (left := deadline - time.monotonic()) <= 0.0:
+            if (remaining_s := deadline - time.monotonic()) <= 0.0:
                 self._cancel()
                 break
-            executor.spin_once(timeout_sec=left)
+            executor.spin_once(timeout_sec=remaining_s)
             if self._requests is not None and all(future.done() for future in self._answers):
                 self._resume(self._requests, [future.result() for future in self._answers])
 
     # --- requests ---------------------------------------------------------------------------------
 
     def _resume(self, requests: Requests, answers: list[Any] | None = None) -> None:
-        """Continue ``requests`` with the answers, until it yields new futures or ends."""
+        """Continue the generator ``requests`` with answers, until it yields new futures or ends."""
         self._requests, self._answers = None, []  # cleared first, because the generator may raise
         with suppress(StopIteration):
             self._answers = next(requests) if answers is None else requests.send(answers)
@@ -237,13 +239,13 @@ class ParameterPush(NodePart):
         self._requests, self._answers = None, []
 
     def _is_running(self) -> bool:
-        """Return whether the node has its services; if not, store a note."""
+        """Return whether the other node offers its parameter services; if not, store a note."""
         if self._get.service_is_ready() and self._set.service_is_ready():
             self._notes.pop('', None)
             return True
-        waiting = ', '.join(f'{n} = {text_of(values)}' for n, values in self._found().items())
-        then = f'; {waiting} will be restored' if waiting else ''
-        self._note('', f'{self.node} is not running: start it, or correct push.node{then}')
+        former_texts = ', '.join(f'{n} = {text_of(values)}' for n, values in self._found().items())
+        restore_text = f'; {former_texts} will be restored' if former_texts else ''
+        self._note('', f'{self.node} is not running: start it, or correct push.node{restore_text}')
         return False
 
     def _read(self, names: Sequence[str]) -> list[Any]:
@@ -273,7 +275,7 @@ class ParameterPush(NodePart):
         if plan.has_gains and not self._settings.value.debiased:
             if not all(axis in self._bias for axis in AXES[SENSORS['gyro']]):
                 raise AllanError('the bias of the gyro at rest is not known yet')
-            bias = {axis: one.largest for axis, one in self._bias.items()}
+            bias = {axis: estimate.largest for axis, estimate in self._bias.items()}
         return target_rows(results, plan.target, options, bias)
 
     def _proposals(self, plan: PushPlan, results: Results) -> list[Proposal]:
@@ -300,8 +302,10 @@ class ParameterPush(NodePart):
             if name and row.ratio > SETTLED_RATIO:
                 is_bounded = row.ratio < math.inf
                 interval = f'{low:.3g} to {high:.3g}' if is_bounded else 'not known yet'
-                why = f'the value is set when its ends are within a factor of {SETTLED_RATIO:g}'
-                self._note(name, f'the 95 % interval is {interval}; {why}', warning=False)
+                condition = (
+                    f'the value is set when its ends are within a factor of {SETTLED_RATIO:g}'
+                )
+                self._note(name, f'the 95 % interval is {interval}; {condition}', warning=False)
             elif name:
                 proposal = Proposal(name, row.values, row.interval, row.words, plan.has_gains)
                 held = self._held.get(name)
@@ -310,9 +314,9 @@ class ParameterPush(NodePart):
         return proposals
 
     def _setting(self, proposals: list[Proposal]) -> Requests:
-        """Read the present values of the node, and set those that differ from the proposals."""
+        """Read the parameters of the other node, and set those that differ from the proposals."""
         answers = yield self._read([proposal.name for proposal in proposals])
-        if self._refusal:  # a reason may have appeared since the request was sent
+        if self._refusal:  # setting values may have become forbidden since the request was sent
             return
         accepted_proposals: list[Proposal] = []
         for proposal, answer in zip(proposals, answers):
@@ -325,8 +329,8 @@ class ParameterPush(NodePart):
                 continue
             held.now = values
             found = held.found or values
-            if kept := proposal.keeps(found):
-                self._note(name, kept, warning=False)
+            if keep_reason := proposal.keeps(found):
+                self._note(name, keep_reason, warning=False)
                 continue
             refusal = proposal.refusal(found, self._settings.value.max_factor)
             if refusal:
@@ -360,7 +364,10 @@ class ParameterPush(NodePart):
         self._store()
 
     def _numbers_of(self, name: str, values: Sequence[ParameterValue]) -> Numbers | None:
-        """Return the value in an answer; None, with a note, if it is not a double or doubles."""
+        """Return the value in an answer: one or several doubles.
+
+        Returns None, and stores a note, if the value has another type.
+        """
         value = values[0] if values else ParameterValue()
         if value.type == ParameterType.PARAMETER_DOUBLE:
             return (value.double_value,)
@@ -374,7 +381,7 @@ class ParameterPush(NodePart):
     def _note(self, name: str, note: str, warning: bool = True) -> None:
         """Store a note about a parameter, or about the node if ``name`` is ''.
 
-        The note is logged, unless the previous note with this name has the same severity.
+        The note is logged, unless the previous note on the parameter has the same severity.
         """
         if name not in self._notes or self._notes[name][0] != warning:
             self._log.info(f'{name}: {note}' if name else note)
@@ -397,7 +404,7 @@ class ParameterPush(NodePart):
         self._was_killed = bool(self._held)
 
     def _store(self) -> bool:
-        """Write the found values to the file; return whether this was possible."""
+        """Write the found values to the file, and return whether this was possible."""
         values = {n: Former(h.found, h.sent) for n, h in self._held.items() if h.found}
         try:
             if self._former is not None:
@@ -408,7 +415,7 @@ class ParameterPush(NodePart):
         return True
 
     def _forget_unsent(self) -> None:
-        """Forget the found value of each parameter that still has this value."""
+        """Forget the found value of each parameter that still has its found value."""
         for held in self._held.values():
             if held.now == held.found:
                 held.found = ()
@@ -418,7 +425,7 @@ class ParameterPush(NodePart):
         return {name: held.found for name, held in self._held.items() if held.found}
 
     def _restoring(self, reason: str) -> Requests:
-        """Set the found values again, except for parameters that someone else has changed since."""
+        """Set the found values again, except for parameters that someone else has changed."""
         found, former_values = self._found(), {}
         answers = yield self._read([*found])
         for name, answer in zip(found, answers):
@@ -426,7 +433,8 @@ class ParameterPush(NodePart):
             held = self._held[name]
             if values in held.sent:
                 former_values[name] = found[name]
-            elif values in (None, held.found) or self._was_killed:  # the node was restarted
+            # nothing is to be restored, for example after a restart of the other node
+            elif values in (None, held.found) or self._was_killed:
                 del self._held[name]
             else:
                 self._leave(name, values)
@@ -438,14 +446,16 @@ class ParameterPush(NodePart):
             restored_values = {
                 n: text_of(values) for n, values in former_values.items() if n not in refusals
             }
-            said = ', '.join(f'{name} = {value}' for name, value in restored_values.items())
+            restored_text = ', '.join(
+                f'{name} = {value}' for name, value in restored_values.items()
+            )
             if restored_values:
-                self._note('', f'restored {said}, because {reason}')
+                self._note('', f'restored {restored_text}, because {reason}')
             for name in restored_values:
                 del self._held[name]
-        for name, why in refusals.items():
+        for name, refusal in refusals.items():
             self._note(
-                name, f'{self.node} refused the former {text_of(former_values[name])}: {why}'
+                name, f'{self.node} refused the former {text_of(former_values[name])}: {refusal}'
             )
         self._notes = {n: note for n, note in self._notes.items() if not n or n in self._held}
         self._was_killed = self._was_killed and bool(refusals)
@@ -465,7 +475,7 @@ def _message(name: str, values: Numbers) -> ParameterMessage:
 
 
 def _reason_of(result: Any) -> str:
-    """Return the reason that a node gives for a refusal, cut off and without control characters."""
+    """Return the reason that a node gives for a refusal, shortened and safe to print."""
     reason = one_line(result.reason)
-    cut = f'{reason[:LONGEST_REASON]} ...' if len(reason) > LONGEST_REASON else reason
-    return cut or 'no reason'
+    shortened = f'{reason[:LONGEST_REASON]} ...' if len(reason) > LONGEST_REASON else reason
+    return shortened or 'no reason'

@@ -17,20 +17,20 @@ from ..readers.files import config_file, read_yaml
 
 SCHEMA = 'allan_ros/push/1'
 
-# the gain is in rad/s; zeta has no effect without a magnetometer
+# Only the gain (in rad/s) is set, because zeta has no effect without a magnetometer.
 GAINS = {'imu_filter_madgwick': ('gain',)}
 """Export target -> its rows that are gains of a state estimator without a bias state. A gain has to
 cover the errors of the gyro in motion. Without a factor in motion, the gain is shown in the status,
 but not set."""
 
 RAISED = 2.0
-"""Smallest ratio at which a gain is raised: the gain that covers the errors of the gyro in motion,
-divided by the gain in the node. A gain is never lowered, because a large gain may be needed for
-other reasons, such as fast convergence, and a lower gain makes the tilt worse at rest."""
+"""A gain in a node is raised if the gain that covers the errors of the gyro in motion exceeds it by
+this factor. A gain is never lowered: a large gain may be needed for other reasons, such as fast
+convergence, and a lower gain makes the tilt worse at rest."""
 
 PUSHED_TARGETS = (*GAINS, 'kalibr', 'fast_lio')
 """Export targets that ``push.filter`` may name: gains, densities N and K (kalibr), and N^2 f and
-K^2 f (fast_lio). `docs/targets.md` names the code that shows the convention of each."""
+K^2 f (fast_lio). `docs/targets.md` names the code that shows the convention of each target."""
 
 GAINS_WAIT = (
     'the gain has to cover the errors in motion, which are not measured yet: drive at least '
@@ -43,15 +43,15 @@ CHANGE = 0.1
 """Fraction by which a value must have changed before it is set again."""
 
 Numbers = tuple[float, ...]
-"""Value of a parameter: one number for a double, several for an array of doubles."""
+"""Value of a parameter: one number for a double, several numbers for an array of doubles."""
 
 
 @dataclass(frozen=True)
 class PushPlan:
-    """Which rows of which export target are set, and as which parameters."""
+    """The rows of an export target, and the parameters that are set to the values of these rows."""
 
     target: str
-    names: Mapping[str, str]  # name of a row -> parameter; see `rows`
+    names: Mapping[str, str]  # name of a row -> name of the parameter; see `rows`
     options: ExportOptions
 
     @property
@@ -92,9 +92,9 @@ def load_plan(name: str) -> PushPlan:
 
 @dataclass(frozen=True)
 class Proposal:
-    """A proposed value of the parameter ``name``: one number, or three.
+    """A proposed value of the parameter ``name``: one number, or three numbers.
 
-    ``interval`` is the 95 % interval of the value, and ``origin`` tells how the value was computed.
+    ``interval`` is the 95 % interval of the value, and ``origin`` states how it was computed.
     """
 
     name: str
@@ -110,7 +110,7 @@ class Proposal:
         return not all(abs(v - c) <= CHANGE * abs(c) for v, c in zip(self.values, other))
 
     def keeps(self, found: Numbers) -> str:
-        """Return why a gain in the node is kept; '' if this value is to replace the gain."""
+        """Return why the found gain in the node is kept; '' if this value replaces the gain."""
         if not self.is_gain or len(found) != 1 or not self.values[0] <= RAISED * found[0]:
             return ''
         return (
@@ -128,9 +128,9 @@ class Proposal:
                     f'is {before:.4g} in the node and is not changed; the model gives {value:.4g}'
                 )
             if not 1.0 / factor <= value / before <= factor:
-                large, small = max(value, before), min(value, before)
+                larger, smaller = max(value, before), min(value, before)
                 return (
-                    f'{value:.4g} is {large / small:.3g} times '
+                    f'{value:.4g} is {larger / smaller:.3g} times '
                     f'{"above" if value > before else "below"} the {before:.4g} that was found, so '
                     'it is not set: check the filter, or raise push.max_factor'
                 )

@@ -1,10 +1,10 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Republishes one Imu topic with covariances filled in, as raw bytes.
+"""Republishes the messages of an Imu topic, as raw bytes, with covariances filled in.
 
-A separate thread waits for messages and republishes each at once. The thread needs half the CPU
-time of an executor's callback, and no other task of the node delays a message. If this version of
-rclpy has no wait set, a callback republishes the messages.
+A separate thread waits for messages and republishes each message at once. The thread needs half the
+CPU time of a callback, and other tasks of the node do not delay it. If this version of rclpy has no
+wait set, a callback republishes the messages.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ from .node_settings import SETTLED_RATIO, EstimatorSettings, RelaySettings, Watc
 from .shell import LATCHED
 
 WAIT_NS = 100_000_000
-"""Time in ns after which the waiting thread checks whether it should end."""
+"""Longest time in ns that the thread waits before it checks whether it should end."""
 
 POLL_S = 0.005
 """Period in s at which messages are fetched if waiting for them fails."""
@@ -64,7 +64,7 @@ DISCOVERY_S = 5.0
 """Time in s after the start from which a missing publisher of the noise model is a warning."""
 
 PROBES = {sensor: CovariancePatch({sensor: (1.0, 1.0, 1.0)}) for sensor in SENSORS}
-"""Sensor -> a patch that changes a message only if the covariance of the sensor is zero."""
+"""Sensor -> patch that changes a message only if the covariance of this sensor is zero."""
 
 VARIANCE_UNITS = {'gyro': '(rad/s)^2', 'accel': '(m/s^2)^2'}
 
@@ -79,7 +79,7 @@ RECEIVED, FILLED, PASSED, MALFORMED, UNPUBLISHED = COUNTS = (
 
 
 def relay_variances(results: Results, settings: RelaySettings, rate: float) -> dict[str, Variances]:
-    """Return the variances of a sample of each axis, by sensor, in (rad/s)^2 or (m/s^2)^2.
+    """Return sensor -> variances of one sample of x, y and z, in (rad/s)^2 or (m/s^2)^2.
 
     ``rate`` is the sample rate in Hz. The variances do not cover the bias.
     """
@@ -92,10 +92,11 @@ def cover_bias(
 ) -> dict[str, Variances]:
     """Return the variances, with the variances of the gyro increased so that they cover the bias.
 
-    ``messages`` is the number of samples that a state estimator integrates. The variance that it
-    computes for the integral then covers the error due to noise and bias. ``bias`` is axis -> bias
-    at rest in SI for each axis with a known bias; an unknown bias is taken as 0. The bias of an
-    accelerometer is unknown, because it cannot be distinguished from gravity.
+    ``messages`` is the number of samples that a state estimator integrates. From the increased
+    variances, the state estimator computes a variance of the integral that covers the error due to
+    noise and bias. ``bias`` is axis -> bias at rest in SI for each axis with a known bias; an
+    unknown bias is taken as 0. The bias of an accelerometer is unknown, because it cannot be
+    distinguished from gravity.
     """
     if 'gyro' not in variances:
         return variances
@@ -105,21 +106,25 @@ def cover_bias(
         max(1.0, messages) * ((axis_bias.value or 0.0) ** 2 + axis_bias.std**2)
         for axis_bias in biases
     )
-    x, y, z = (noise + extra for noise, extra in zip(variances['gyro'], bias_variances))
+    x, y, z = (
+        noise + bias_variance for noise, bias_variance in zip(variances['gyro'], bias_variances)
+    )
     return {**variances, 'gyro': (x, y, z)}
 
 
 def in_motion(variances: dict[str, Variances], results: Results) -> dict[str, Variances]:
-    """Return the variances multiplied by the squared factor in motion of each sensor.
+    """Return the variances, multiplied by the squared factor in motion of each sensor.
 
-    This factor is the error in motion divided by its prediction from the noise at rest. A factor
-    below 1 is taken as 1. Without such factors, or while the IMU is at rest, the variances are
-    returned unchanged.
+    The factor in motion is the error in motion divided by its prediction from the noise at rest. A
+    factor below 1 is taken as 1. If no factors are known, or while the IMU is at rest, the
+    variances are returned unchanged.
     """
     motion = results.motion
     if motion is None or not any(f.id == 'moving_now' for f in results.findings):
         return variances
-    factors = {sensor: max(one.factor.value or 1.0, 1.0) for sensor, one in motion.sensors.items()}
+    factors = {
+        sensor: max(errors.factor.value or 1.0, 1.0) for sensor, errors in motion.sensors.items()
+    }
     return scaled_variances(variances, {axis: factors[sensor_of(axis)] for axis in AXES})
 
 
@@ -127,20 +132,20 @@ def scaled_variances(
     variances: dict[str, Variances], ratios: Mapping[str, float]
 ) -> dict[str, Variances]:
     """Return each variance times the squared ratio of its axis; a missing ratio is taken as 1."""
-    out = dict(variances)
+    scaled = dict(variances)
     for sensor, values in variances.items():
         x, y, z = (
             value * ratios.get(axis, 1.0) ** 2 for axis, value in zip(AXES[SENSORS[sensor]], values)
         )
-        out[sensor] = x, y, z
-    return out
+        scaled[sensor] = x, y, z
+    return scaled
 
 
 def bias_in_model(results: Results) -> dict[str, Estimate]:
-    """Return axis -> bias in SI: the mean of the samples at rest that the noise model contains.
+    """Return axis -> bias in SI: the mean of the samples at rest, which the results contain.
 
-    The standard deviation of the bias is its scatter between recordings. This bias is used until
-    the bias since the start of the node is known.
+    The standard deviation of the bias is the scatter of the bias between recordings, or 0 if this
+    is unknown. The relay uses this bias until the present bias is known.
     """
     return {
         name: Estimate.normal(
@@ -174,7 +179,7 @@ class ModelInput:
         return str(self._model.topic_name)
 
     def findings(self, now: float) -> list[Finding]:
-        """Return findings: the noise model cannot be read, or no node publishes a noise model."""
+        """Return findings if the noise model cannot be read, or if no node publishes one."""
         found = [self._unreadable] if self._unreadable else []
         has_waited = now - self._began > DISCOVERY_S
         if self._results is None and has_waited and not self._node.count_publishers(self.topic):
@@ -229,16 +234,18 @@ class ImuRelay(NodePart):
         self._other_frame = 0
         self._results: Results | None = None
         self._bias: Mapping[str, Estimate] = {}
-        self._variances: dict[str, Variances] = {}  # variances that are filled in
+        self._variances: dict[str, Variances] = {}  # variances that are filled into messages
         self._from_datasheet: tuple[str, ...] = ()  # sensors with variances from the datasheet
         self._first = FirstMessages()
         self._latest: bytes | None = None  # the latest message
         self._patch = CovariancePatch({})
         self._made_of: tuple[object, ...] = ()  # inputs from which the patch was made
-        self._measured: dict[str, Variances] = {}  # variances that do not cover the bias
-        self._measured_of: tuple[object, ...] = None, None  # inputs of these variances
-        self._ratio = 1.0  # upper / lower end of the interval of N; 1 without a horizon
         self._last_malformed = self._last_frame = ''
+        # variances from the noise model, which do not cover the bias, and their inputs
+        self._measured: dict[str, Variances] = {}
+        self._measured_of: tuple[object, ...] = None, None
+        # upper end of the 95 % interval of N, divided by the lower end; 1 without a horizon
+        self._ratio = 1.0
         overriding = QoSOverridingOptions.with_default_policies()
         self._publisher = node.create_publisher(
             Imu,
@@ -246,7 +253,7 @@ class ImuRelay(NodePart):
             QoSProfile(depth=QUEUE_DEPTH),
             qos_overriding_options=overriding,
         )
-        self.tick(self._began)  # makes the covariances of the first message
+        self.tick(self._began)  # computes the covariances for the first message
         self._thread: threading.Thread | None = None
         self._stop = threading.Event()
         wait_set = self._wait_set()
@@ -265,7 +272,7 @@ class ImuRelay(NodePart):
 
     @property
     def description(self) -> str:
-        """Description of the relay, for the log at start."""
+        """Text that describes the relay in the log at the start of the node."""
         source = self._subscription
         return (
             f'relays {source.topic_name} ({qos_text(source.qos_profile)}) to '
@@ -282,11 +289,11 @@ class ImuRelay(NodePart):
         self.tick(time.monotonic())
 
     def tick(self, now: float) -> None:
-        """Make a new patch if the noise model, the bias or the parameters have changed."""
+        """Make a new patch if noise model, bias, parameters or sample rate have changed."""
         if self._datasheet is not None:
             self._first.update(self._counts[RECEIVED], self._latest)
-        first = self._first.rate_hz, self._first.bias
-        inputs = self._results, self._settings.value, self._bias, *first
+        first_values = self._first.rate_hz, self._first.bias
+        inputs = self._results, self._settings.value, self._bias, *first_values
         if self._made_of and all(map(operator.is_, inputs, self._made_of)):
             return
         self._made_of = inputs
@@ -318,7 +325,7 @@ class ImuRelay(NodePart):
     def _measured_variances(
         self, results: Results, settings: RelaySettings
     ) -> dict[str, Variances]:
-        """Return the variances of a noise model, computed once for each model and settings."""
+        """Return the variances from a noise model, computed once for each model and settings."""
         inputs = results.axes, settings
         if not all(map(operator.is_, inputs, self._measured_of)):
             self._measured_of, self._ratio = inputs, 1.0
@@ -334,7 +341,7 @@ class ImuRelay(NodePart):
         pairs: list[tuple[str, object]] = [
             ('from', self._subscription.topic_name),
             ('to', self._publisher.topic_name),
-            *((f'{what} [messages]', count) for what, count in self._counts.items()),
+            *((f'{kind} [messages]', count) for kind, count in self._counts.items()),
             ('messages taken by', 'a thread' if self._thread else 'a callback'),
             *(
                 (f'variance of {sensor} {axis} [{VARIANCE_UNITS[sensor]}]', variance)
@@ -342,14 +349,14 @@ class ImuRelay(NodePart):
                 for axis, variance in zip('xyz', variances)
             ),
         ]
-        filled = f'covariances of {" and ".join(self._variances)} are filled'
+        filled_text = f'covariances of {" and ".join(self._variances)} are filled'
         if self._from_datasheet:
-            filled += f' ({" and ".join(self._from_datasheet)} from the datasheet)'
+            filled_text += f' ({" and ".join(self._from_datasheet)} from the datasheet)'
         identity = self._results.identity if self._results else ImuIdentity()
         hardware_id = self._imu.hardware_id or identity.hardware_id or identity.frame_id
         name = status_name(self._node, self._imu.label, 'relay')
         otherwise = finding_line(findings[0]) if findings else 'nothing to fill'
-        text = filled if self._variances else otherwise
+        text = filled_text if self._variances else otherwise
         return [status_of(name, findings, text, pairs, hardware_id=one_line(hardware_id))]
 
     def close(self) -> None:
@@ -378,7 +385,7 @@ class ImuRelay(NodePart):
             self._note_frame(payload)
         try:
             self._publisher.publish(patched)
-        except rclpy_implementation.RCLError:  # the queue of a reliable subscriber stayed full
+        except rclpy_implementation.RCLError:  # the queue of a reliable subscriber remained full
             counts[UNPUBLISHED] += 1
 
     def _note_frame(self, payload: bytes) -> None:
@@ -417,7 +424,7 @@ class ImuRelay(NodePart):
                     self._pause('relay', error)
 
     def _pause(self, where: str, error: Exception) -> None:
-        """Report an error of the thread, and wait for `POLL_S`."""
+        """Report an error in the thread, and wait for `POLL_S`."""
         self._node.fault(where, error)
         self._stop.wait(POLL_S)
 
@@ -444,7 +451,7 @@ class ImuRelay(NodePart):
             return []
 
     def _findings(self, now: float) -> list[Finding]:
-        """Return findings about the present problems; a cause precedes its effects."""
+        """Return findings about present problems; each cause precedes its effects."""
         counts, results, found = self._counts, self._results, self._input_findings(now)
 
         def add(id: str, count: int, **values: Any) -> None:

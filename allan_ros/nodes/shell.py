@@ -29,8 +29,8 @@ from ..core.errors import AllanError, one_line
 T = TypeVar('T')
 
 _TRIM = getattr(ctypes.CDLL(None), 'malloc_trim', None) if sys.platform == 'linux' else None
-"""Function of glibc that returns free heap memory to the system; None without glibc. A fit leaves
-about 20 MB of free blocks below memory that is still in use."""
+"""Function of glibc that returns free heap memory to the system; None without glibc. If it is not
+called, the process keeps about 20 MB of heap memory that a fit has freed."""
 
 STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
@@ -49,7 +49,7 @@ class Worker:
         threading.Thread(target=self._work, daemon=True).start()
 
     def submit(self, task: Callable[[], T]) -> Future[T]:
-        """Queue a task; the future receives its result or exception."""
+        """Queue a task, and return a future that receives the result or exception of the task."""
         future: Future[T] = Future()
         self._tasks.put((future, task))
         return future
@@ -59,9 +59,9 @@ class Worker:
             future, task = self._tasks.get()
             try:
                 future.set_result(task())
-            except BaseException as error:  # raised again by future.result()
+            except BaseException as error:  # future.result() raises it again
                 future.set_exception(error)
-            del task, future  # release the objects of the task before the next one
+            del task, future  # frees the memory of the task before the next task arrives
             if _TRIM is not None:
                 _TRIM(0)
 
@@ -78,19 +78,19 @@ def run(
     reason is then logged in one line.
 
     ``make_node`` returns the node. Its arguments are an event and the options of the command line.
-    Setting the event stops the node. The options are what ``parser`` finds in ``args`` without ROS
-    arguments; if ``args`` is None, ``sys.argv`` is parsed. The node needs a timer, because signals
-    are handled when the executor wakes. The method ``close()`` of the node is called once before
-    the node is destroyed. If the node has a method ``fault(where, error)``, exceptions of callbacks
-    are passed to this method, and the node continues.
+    Setting the event stops the node. ``parser`` parses the options from ``args`` (by default,
+    ``sys.argv``) without the ROS arguments. The node needs a timer, because signals are handled
+    when the executor wakes. The method ``close()`` of the node is called once before the node is
+    destroyed. If the node has a method ``fault(where, error)``, exceptions of callbacks are passed
+    to this method, and the node continues.
     """
     argv = sys.argv if args is None else [name, *args]
     stop = Event()
     try:
         options = parser.parse_args(remove_ros_args(list(argv))[1:])
-        # Python's default handler would raise KeyboardInterrupt in the middle of an update or while
-        # a checkpoint is written. The handler of rclpy would shut down the context before the
-        # node is closed.
+        # Python's default handler would raise KeyboardInterrupt, even during an update or while a
+        # checkpoint is written. The handler of rclpy would shut down the context before the node is
+        # closed.
         for number in STOP_SIGNALS:
             signal.signal(number, lambda *_: stop.set())
         rclpy.init(args=list(argv), signal_handler_options=SignalHandlerOptions.NO)

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Publishes the Allan sums of one input."""
+"""Publishes the Allan sums of one IMU."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from .shell import LATCHED
 
 
 class SumsOutput:
-    """Publishes snapshots of the sums on ``<home>sums``, and passes them to listeners.
+    """Publishes snapshots of the Allan sums on ``<home>sums``, and passes them to listeners.
 
     ``home`` is the prefix of the topic, such as ``~/``.
 
@@ -25,8 +25,8 @@ class SumsOutput:
     latest : Snapshot or None
         The latest snapshot of this input, without an accelerometer that has its own topic.
     state : object
-        The state of the input at the latest snapshot. If the present state of the input differs
-        from it, the estimator must receive a new snapshot at once.
+        The state of the input at the latest snapshot. If the present state of the input is
+        different, the estimator must receive a new snapshot at once.
     """
 
     def __init__(self, node: Node, home: str) -> None:
@@ -47,16 +47,16 @@ class SumsOutput:
         return self.latest.sums if self.latest is not None else ()
 
     def add_listener(self, listener: Callable[[Snapshot], None]) -> None:
-        """Call a function with every snapshot from now on."""
+        """Register a function that is called with every further snapshot."""
         self._listeners.append(listener)
 
     def has_new_subscriber(self) -> bool:
         """Return whether there are more subscribers than at the last call."""
-        before, self._subscribers = self._subscribers, self._publisher.get_subscription_count()
-        return self._subscribers > before
+        last_count, self._subscribers = self._subscribers, self._publisher.get_subscription_count()
+        return self._subscribers > last_count
 
     def put(self, snapshot: Snapshot, state: object, accel: Snapshot | None) -> None:
-        """Publish a snapshot, extended by the snapshot ``accel`` of an accelerometer, if given.
+        """Publish a snapshot, extended by the snapshot ``accel`` of a separate accelerometer.
 
         ``state`` is the state of the input at this snapshot. A JSON document is written only if
         there is a subscriber.

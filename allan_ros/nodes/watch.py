@@ -39,11 +39,11 @@ REFRESH_S = 0.5
 """Period in s at which the table is redrawn."""
 
 SETTLE_S, DISCOVERY_WAIT_S = 1.5, 3.5
-"""Time in s from the first status until every discovered node has published once, and time from the
-start until every node is discovered. Fast DDS announces a process every 3 s."""
+"""Assumed time in s from the first status until every discovered node has published once, and from
+the start until every node is discovered. Fast DDS announces a process every 3 s."""
 
 OWN_TOPICS = ('sums', 'noise_model')
-"""Topics in the namespace of a node, by which an allan_ros node is recognized."""
+"""Topics below the name of a node by which the node is recognized as an allan_ros node."""
 
 PATIENCE_S, NOBODY_S = 10.0, 6.5
 """Times in s for which ``--once`` waits for the first status: the first time if a node publishes on
@@ -51,14 +51,14 @@ PATIENCE_S, NOBODY_S = 10.0, 6.5
 a busy computer may lose one announcement."""
 
 HINT_S = 8.0
-"""Time in s without a status after which the user is told what to check. A node needs some seconds
-to start."""
+"""If no status arrives for this time in s, the user is told what to check. A node needs some
+seconds to start."""
 
 EXIT_LEVEL = {'ok': 0, 'WARN': 3, 'STALE': 4, 'ERROR': 4}
 """Most severe level of all statuses -> exit code of ``--check``."""
 
 EXIT_NO_STATUS = 1
-"""Exit code: no status was received."""
+"""Exit code if no status was received."""
 
 DISCOVERY = (
     'ROS_DOMAIN_ID',
@@ -77,8 +77,8 @@ LEVEL_WORDS = {
 """Level of a status -> word that is shown for it."""
 
 STYLES = {'ERROR': 'bold reverse', 'STALE': 'bold magenta', 'WARN': 'black on yellow', 'ok': 'cyan'}
-"""Level -> style of rich, in the order of the rows of a table. STALE precedes WARN, because a node
-that stopped publishing may have an error. The styles also differ without color."""
+"""Level -> style of the package rich, in the order of the rows of a table. STALE precedes WARN,
+because a node that stopped publishing may have an error. The styles also differ without color."""
 
 STALE_S = 5.0
 """Age in s from which a status is shown as stale; nodes publish each status once a second."""
@@ -134,7 +134,7 @@ def plain_line(row: StatusRow) -> str:
 
 
 def picture(rows: Sequence[StatusRow]) -> RenderableType:
-    """Return the statuses as a table of rich."""
+    """Return the statuses as a table of the package rich."""
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
     from rich.text import Text
@@ -179,8 +179,8 @@ class Watch(Node):
         self._began = time.monotonic()
         self._first: float | None = None
         self.create_subscription(DiagnosticArray, TOPIC, self._on_diagnostics, 100)
-        self._page: LivePage | None = None  # the module is imported only if the page is requested
-        if options.web is not None:
+        self._page: LivePage | None = None
+        if options.web is not None:  # the module is imported only if the page is requested
             from .live_page import LivePage
 
             self._page = LivePage(self, options.web)
@@ -218,7 +218,7 @@ class Watch(Node):
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         now = time.monotonic()
         for status in message.status:
-            # these keys identify the statuses of an allan_ros node that was renamed
+            # these keys identify a status of an allan_ros node even if the node was renamed
             has_own_keys = {'static data [s]', 'segments'} <= {v.key for v in status.values}
             node_prefix = f'/{status.name.partition(":")[0].strip("/")}/'
             if self._wanted and not node_prefix.startswith(self._wanted):
@@ -256,10 +256,10 @@ class Watch(Node):
         if self._live:
             self._live.update(picture(rows) if rows else hint or 'listening ...', refresh=True)
             return
-        for each in rows:
-            if self._levels.get((each.node, each.name)) != each.level:
-                self._levels[each.node, each.name] = each.level
-                print(f'{time.strftime("%H:%M:%S")} {plain_line(each)}', flush=True)
+        for status_row in rows:
+            if self._levels.get((status_row.node, status_row.name)) != status_row.level:
+                self._levels[status_row.node, status_row.name] = status_row.level
+                print(f'{time.strftime("%H:%M:%S")} {plain_line(status_row)}', flush=True)
         if hint and not self._hinted:
             self._hinted = True
             print(hint, file=sys.stderr, flush=True)
@@ -370,7 +370,7 @@ def main(args: Sequence[str] | None = None) -> int:
     try:
         code = run('allan_watch', make, make_parser(), args)
         sys.stdout.flush()
-    except BrokenPipeError:  # the reader (head, less) has exited
+    except BrokenPipeError:  # the program that reads the output, such as head, has ended
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     return code or nodes[0].exit_code()
