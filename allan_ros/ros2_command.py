@@ -66,7 +66,7 @@ class AllanCommand(Base):  # type: ignore[misc]
 
 
 def _is_for_files(verb: str, words: list[str]) -> bool:
-    """Return whether `allan` has this verb, and ``words`` contain a file or ``--help``."""
+    """Return whether ``verb`` is a verb of `allan`, and ``words`` contain a file or ``--help``."""
     from .cli.main import VERBS
 
     file_names = [

@@ -237,7 +237,7 @@ def analyze(
 
 
 def read_settings(options: Mapping[str, Any], rate: float) -> tuple[ReadOptions, SegmenterSettings]:
-    """Return the settings for reading, and for selecting the data at rest, that options contain.
+    """Return the settings for reading and the settings for selecting data at rest in ``options``.
 
     Both settings contain the sample ``rate`` in Hz, which is 0 if unknown. Raises AllanError if an
     option is unknown or invalid.

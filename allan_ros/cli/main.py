@@ -201,9 +201,9 @@ def main(argv: Sequence[str] | None = None) -> int:
 
         return _print_error(f'{name}: {explained(error)}', EXIT_ERROR)
     except KeyboardInterrupt:
-        if argv is None and hasattr(signal, 'pthread_sigmask'):  # not on Windows
+        if argv is None and hasattr(signal, 'pthread_sigmask'):
             # If an import was interrupted, Python sends SIGINT to itself at exit, and returns the
-            # exit code only if SIGINT is blocked.
+            # exit code only if SIGINT is blocked. Windows has no pthread_sigmask.
             signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         return _print_error(f'\n{name}: interrupted, nothing more is written', EXIT_INTERRUPTED)
     except BrokenPipeError:

@@ -51,7 +51,8 @@ class Command:
 
     description: str  # the first part of the help text of the verb, with examples
     options: Declared
-    run: Callable[[argparse.Namespace], int]  # runs the verb and returns the exit code
+    # runs the verb and returns the exit code
+    run: Callable[[argparse.Namespace], int]
     # exit code that not all verbs have -> meaning of the code
     exits: Mapping[int, str] = field(default_factory=dict)
 

@@ -233,7 +233,7 @@ def _known_rows(table: Table) -> Table:
 
 
 SMALL_DEVIATION = 0.05
-"""Smallest relative deviation of the curve from the model that is stated."""
+"""Smallest relative difference between curve and model that is printed."""
 
 
 def _deviation(results: Results, axis: str) -> str:

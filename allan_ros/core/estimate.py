@@ -99,7 +99,7 @@ class Estimate:
 
     @classmethod
     def normal(cls, value: float, std: float) -> Estimate:
-        """Return an estimate with a normal error distribution of standard deviation ``std``."""
+        """Return an estimate with a normally distributed error; ``std`` is the standard error."""
         return cls(value, (value - Z_95 * std, value + Z_95 * std))
 
     @property

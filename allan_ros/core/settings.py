@@ -70,7 +70,7 @@ def describe(settings: Any) -> dict[str, ParameterInfo]:
 
 
 UNIT_SYSTEMS = ('deg/h', 'SI')
-"""Systems of units for the output: 'deg/h' for units of datasheets, such as deg/h and ug; 'SI'."""
+"""Systems of units for the output: units of datasheets, such as deg/h and ug ('deg/h'), or SI."""
 
 LIST = (tuple, list)
 

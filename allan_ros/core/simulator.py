@@ -308,7 +308,7 @@ def _disturb_samples(
 
 
 def _recursion(pole: float, inputs: Floats) -> Floats:
-    """Return y_k = pole y_(k-1) + x_k along the first axis; x are the ``inputs``, and y_0 = x_0."""
+    """Return y_k = pole y_(k-1) + x_k along the first axis; ``inputs`` are x_k, and y_0 = x_0."""
     from scipy.signal import lfilter  # slow to import, and rarely needed
 
     return np.asarray(lfilter([1.0], [1.0, -pole], inputs, axis=0))
@@ -319,7 +319,7 @@ def _held_index(n: int, tau0: float, rate: float) -> NDArray[np.int64]:
 
     A sensor with the lower rate ``rate`` in Hz gets a new value at the ticks of its own clock.
     """
-    # 1e-9 prevents that rounding errors hide a tick that coincides with a sample.
+    # The offset 1e-9 keeps rounding errors from hiding a tick that coincides with a sample.
     ticks = np.floor(np.arange(n) * tau0 * rate + 1e-9)
     repeated_index = np.minimum(np.ceil(ticks / (tau0 * rate) - 1e-9), np.arange(n))
     return np.asarray(repeated_index, np.int64)

@@ -69,11 +69,11 @@ class Notation(NamedTuple):
     factor: float = 1.0  # SI value of one unit of the number
 
     def number(self, level: float, rate: float) -> float:
-        """Return the number in the file for N or K in SI (``level``) and a rate in Hz."""
+        """Return the number in the file, given N or K in SI (``level``) and the rate in Hz."""
         return float((level / self.factor) ** self.power * rate**self.rate_power)
 
     def level(self, number: float, rate: float) -> float:
-        """Return N or K in SI for a number from a file and a rate in Hz."""
+        """Return N or K in SI, given the number in the file and the rate in Hz."""
         return float((number / rate**self.rate_power) ** (1.0 / self.power) * self.factor)
 
 
@@ -88,7 +88,7 @@ NOTATIONS = {
 
 
 def notation_of(key: Key) -> Notation:
-    """Return the notation of N or K under a key."""
+    """Return the notation in which N or K is written under a key."""
     return NOTATIONS.get(key.unit) or Notation('', key.unit, factor=UNITS[key.unit].factor)
 
 
@@ -232,7 +232,7 @@ class FilterNoise:
         return Row(path, value, words, unit, (low, high), tuple(levels))
 
     def level(self, axis: str, term: str) -> FilterLevel:
-        """Return the noise level of a term of one axis for the file.
+        """Return the noise level of a term of one axis that is written to the file.
 
         K, and N if the target models a random walk, come from the reduced-order model. With the
         fidelity 'coefficients', all terms are as measured.
@@ -304,7 +304,7 @@ class FilterNoise:
         return {name: self.results.axes[name] for name in names}
 
     def reduction(self, axis: str, states: States = 'walk') -> Reduction:
-        """Return the reduced-order model of one axis for a state estimator with ``states``."""
+        """Return the reduced-order model of one axis for a state estimator with bias ``states``."""
         reduced = reduce_axis(axis, self.results.axes[axis].fit, states, self.horizon)
         if states == 'walk':
             self.used[axis] = reduced

@@ -135,7 +135,8 @@ class Row:
     path: tuple[str, ...]  # the key, preceded by the keys of the mappings that contain it
     value: Value
     words: str = ''  # formula, axis and interval of the number as text; '' if it is not measured
-    unit: str = ''  # '' if it is not measured
+    # unit of the number in the file; '' if it is not measured
+    unit: str = ''
     # 95 % interval of the number, in the unit of the file: (0, number) if the number is an upper
     # limit, (0, inf) if the interval is unknown. If the row has numbers for x, y and z, this is the
     # widest of their three intervals
@@ -235,12 +236,14 @@ class Target:
     keys: tuple[Key, ...] = ()  # the keys of the file
     parent: tuple[str, ...] = ()  # keys of the nested mappings that contain the keys of the file
     fixed: Mapping[str, Value] = field(default_factory=dict)  # required keys that are not measured
-    notes: tuple[str, ...] = ()  # further information for the user of this file
+    # further information for the user of this file
+    notes: tuple[str, ...] = ()
     # yields the rows of a file that is too complex for a table, given a `FilterNoise`
     rows: Callable[[Any], Iterable[Row]] | None = None
     three: bool = False  # whether the file has three numbers, x, y and z; else one, the largest
     rate_hz: float | None = None  # fixed rate of the estimator in Hz; None if it is the sample rate
-    horizon_s: float = HORIZON_S  # default of `ExportOptions.horizon` in s
+    # default of `ExportOptions.horizon` in s
+    horizon_s: float = HORIZON_S
     # whether the target models the bias as a random walk, so that N and K are adjusted together
     walk: bool = True
     # whether the numbers bound the error growth from above, as a state estimator needs; if False,

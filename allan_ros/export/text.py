@@ -103,7 +103,7 @@ def header_lines(
 
 
 def _inflation(noise: FilterNoise) -> str:
-    """Return the factors by which the noise is multiplied as text for the header."""
+    """Return a text for the header: the factors by which the noise is multiplied."""
     note, motion = 'the levels below are without these factors', noise.results.motion
     if noise.options.motion and motion is not None:
         factors_in_motion = ', '.join(

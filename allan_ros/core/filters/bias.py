@@ -159,7 +159,7 @@ class BiasFilter:
 
     def _predict(self, phi: Floats, noise: Floats) -> None:
         phi = phi.copy()
-        phi[0, 0] = 0.0  # each mean is an integral of samples that starts from 0
+        phi[0, 0] = 0.0  # the integral of the samples restarts from 0 for each mean
         self._state = phi @ self._state
         self._covariance = phi @ self._covariance @ phi.T + noise
 
@@ -218,7 +218,7 @@ class BiasTracker:
         return max((self._means[axis][-1][0] for axis in self._filters), default=0)
 
     def _restart(self, axis: str) -> None:
-        """Start a new filter for an axis and add its stored means, if it has a model and means."""
+        """Start a new filter for an axis that has a model and means, and add its stored means."""
         if axis in self._models and (means := self._means.get(axis)):
             self._filters[axis] = BiasFilter(self._models[axis])
             _add(self._filters[axis], means)

@@ -46,8 +46,7 @@ and T = h + W, this number is 3.0 for white noise and 1.9 for a random walk."""
 
 GROWTH_S = (1.0, 10.0, 30.0, 100.0, 300.0)
 GROWTH_WINDOW_S = 100.0
-"""Prediction horizons of `growth_table`, and time over which the bias is averaged before time 0, in
-s."""
+"""Prediction horizons of `growth_table` in s, and averaging time of the bias in s."""
 
 
 def predicted_growth(model: Model, horizon: ArrayLike, window: ArrayLike) -> Floats:
@@ -210,7 +209,7 @@ def _limit(fit: AxisFit, term: str) -> float:
 def interval_models(fit: AxisFit, predictive: bool = True) -> tuple[Model, Model] | None:
     """Return two models of an axis with coefficients at the ends of their 95 % intervals.
 
-    In the first model, all coefficients are at the lower ends, in the second at the upper ends. The
+    The first model has all coefficients at the lower ends, the second model at the upper ends. The
     interval of a term that has only an upper limit begins at 0. R is replaced by its magnitude, and
     Q by 0. Shapes and sinusoids are unchanged.
 

@@ -65,7 +65,7 @@ share of its prior standard deviation."""
 Part = Literal['all', 'white', 'slow']
 
 BOTH = ('gyro_white', 'gyro_slow'), ('accel_white', 'accel_slow')
-"""Names of the noise that is multiplied by one factor: of the gyro, and of the accelerometer."""
+"""Names of the noise that one factor multiplies: first of the gyro, then of the accelerometer."""
 
 
 @dataclass(frozen=True)
@@ -354,7 +354,7 @@ def _ratio(data: DriveLikelihood, fit: Fit, sensor: str) -> Estimate:
 def _raised(
     data: DriveLikelihood, fit: Fit, sensor: str, part: Part
 ) -> tuple[Estimate | None, Estimate | None]:
-    """Return the factors of the white noise and of the drift of a sensor; None for no factor."""
+    """Return the factors of white noise and drift of a sensor; None for noise without a factor."""
     half_widths = _quantile(len(fit.scores)) * fit.errors
     factors = {
         names[0]: tuple(math.exp((x + sign * h - offset) / 2.0) for sign in (0.0, -1.0, 1.0))
@@ -371,7 +371,7 @@ def _raised(
 
 
 def _quantile(drives: int, share: float = 0.975) -> float:
-    """Return a quantile of Student's t distribution for factors that ``drives`` drives give."""
+    """Return a quantile of Student's t distribution for factors from a number of drives."""
     from scipy.special import stdtrit  # slow to import
 
     return float(stdtrit(drives - 2, share))

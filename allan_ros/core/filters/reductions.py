@@ -124,9 +124,9 @@ class Reduction(NamedTuple):
 
     @property
     def poor(self) -> bool:
-        """Whether the predicted error differs from the complete model by more than a factor of 2.
+        """Whether the predicted error of the complete model is missed by more than a factor of 2.
 
-        One horizon with such a difference is sufficient.
+        The horizon with the largest difference counts.
         """
         return self.ratio[1] > POOR_RATIO or self.ratio[0] < 1.0 / POOR_RATIO
 

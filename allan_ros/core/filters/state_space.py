@@ -230,7 +230,7 @@ def flicker_processes(
     shortest = min(max(crossing_s / 5.0, 0.15), SHORTEST_TIME_S)
     times = np.geomspace(shortest, LONGEST_TIME_S, BANK_SIZE)
     tau = np.geomspace(1.3 * times[0], 2.0 * times[-1], 40)
-    step = 1e-6 * shortest  # so short that the processes equal processes in continuous time
+    step = 1e-6 * shortest  # so short that the result holds for continuous time
     processes = bank(BY_LETTER['B'], (times / step).tolist(), tau / step)
     return tuple(
         (bias_instability * math.sqrt(variance), process.in_unit(1.0 / step))
