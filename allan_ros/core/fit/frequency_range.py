@@ -277,15 +277,15 @@ def _bends_like_noise(rules: Selection) -> bool:
     effect.
     """
     data = rules.data
-    is_high = data.statistics.f > HIGHEST
-    for _ in range(2):
-        fit = _with_fast_process(rules)
-        power = data.power / fit.spectrum()
-        rules = replace(
-            rules, data=replace(data, dof=np.where(power > DOMINATED, EXCLUDED, 1.0) * data.dof)
-        )
+    fit = _with_fast_process(rules)
+    is_dominated = data.power > DOMINATED * fit.spectrum()
+    if is_dominated.any():
+        dof = np.where(is_dominated, EXCLUDED, 1.0) * data.dof
+        fit = _with_fast_process(replace(rules, data=replace(data, dof=dof)))
     is_resolved = float(fit.p[N]) > WHITE_NOISE * math.sqrt(fit.covariance()[N, N])
-    return is_resolved and float(np.median(power[is_high])) > EXPLAINED
+    is_high = data.statistics.f > HIGHEST
+    relative_power = float(np.median((data.power / fit.spectrum())[is_high]))
+    return is_resolved and relative_power > EXPLAINED
 
 
 def _with_fast_process(rules: Selection) -> Fit:
