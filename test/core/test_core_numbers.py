@@ -78,7 +78,7 @@ def test_a_signal_that_repeats_exactly_has_no_noise() -> None:
     model = fit_noise(sums_of(y, axes=AXES[:1]))
     for coefficient in model.axes[AXES[0]].noise.values():
         # rounding errors, which depend on the processor, may give a limit far below the signal
-        assert not coefficient.value and (coefficient.upper95 or 0.0) < 1e-6
+        assert not coefficient.resolved and (coefficient.upper95 or 0.0) < 1e-6
 
 
 def test_tiny_samples_give_exactly_scaled_variances() -> None:
