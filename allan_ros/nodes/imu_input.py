@@ -370,8 +370,8 @@ class ImuInput:
 
 def steady_s() -> float:
     """Return the time in s of a clock that is never set; on Linux, it also runs during standby."""
-    boot = getattr(time, 'CLOCK_BOOTTIME', None)
-    return time.monotonic() if boot is None else time.clock_gettime(boot)
+    boot_clock = getattr(time, 'CLOCK_BOOTTIME', None)
+    return time.monotonic() if boot_clock is None else time.clock_gettime(boot_clock)
 
 
 def full_name(endpoint: Any) -> str:

@@ -404,7 +404,7 @@ class ParameterPush(NodePart):
         self._was_killed = bool(self._held)
 
     def _store(self) -> bool:
-        """Write the found values to the file, and return whether this was possible."""
+        """Write the former values to the file, and return whether this was possible."""
         values = {n: Former(h.found, h.sent) for n, h in self._held.items() if h.found}
         try:
             if self._former is not None:
@@ -415,17 +415,17 @@ class ParameterPush(NodePart):
         return True
 
     def _forget_unsent(self) -> None:
-        """Forget the found value of each parameter that still has its found value."""
+        """Forget the former value of each parameter that still has its former value."""
         for held in self._held.values():
             if held.now == held.found:
                 held.found = ()
 
     def _found(self) -> dict[str, Numbers]:
-        """Return parameter -> found value for each parameter that has been set."""
+        """Return parameter -> former value for each parameter that has been set."""
         return {name: held.found for name, held in self._held.items() if held.found}
 
     def _restoring(self, reason: str) -> Requests:
-        """Set the found values again, except for parameters that someone else has changed."""
+        """Restore the values from before they were set, unless someone else has changed them."""
         found, former_values = self._found(), {}
         answers = yield self._read([*found])
         for name, answer in zip(found, answers):

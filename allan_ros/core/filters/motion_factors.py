@@ -342,13 +342,13 @@ def _ratio(data: DriveLikelihood, fit: Fit, sensor: str) -> Estimate:
             predicted += size if sigma is None else math.exp(min(x, LIMIT * sigma)) * size
         return math.log(total / predicted) / 2.0
 
-    middle, shifts = log_ratio(fit.log_factors), np.diag(_quantile(len(fit.scores)) * fit.errors)
+    fitted, shifts = log_ratio(fit.log_factors), np.diag(_quantile(len(fit.scores)) * fit.errors)
     low, high = (
-        middle
-        + sign * math.hypot(*(log_ratio(fit.log_factors + sign * h) - middle for h in shifts))
+        fitted
+        + sign * math.hypot(*(log_ratio(fit.log_factors + sign * h) - fitted for h in shifts))
         for sign in (-1.0, 1.0)
     )
-    return Estimate(math.exp(middle), (math.exp(low), math.exp(high)))
+    return Estimate(math.exp(fitted), (math.exp(low), math.exp(high)))
 
 
 def _raised(
