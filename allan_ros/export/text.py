@@ -18,7 +18,7 @@ from ..core.filters.reductions import horizon_text
 from ..core.findings import Finding
 from ..core.number_text import LIMIT_DIGITS, duration_text, significant
 from ..results.from_datasheet import FROM_DATASHEET
-from ..results.motion import MEASURED
+from ..results.results import MOTION_MEASURED
 from ..version import __version__
 from .filter_noise import REFUSED, FilterNoise
 from .target import Form, Row, Value
@@ -89,7 +89,7 @@ def header_lines(
         *(
             f'note: {words(note)}'
             for note in results.findings
-            if noise.options.motion and note.id in MEASURED
+            if noise.options.motion and note.id in MOTION_MEASURED
         ),
         *dict.fromkeys(f'note: {words(note)}' for row in rows for note in row.findings),
         *(f'warning: {words(note)}' for note in noise.findings()),

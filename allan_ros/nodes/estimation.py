@@ -22,10 +22,9 @@ from ..core.allan.recent import NoiseStep, noise_steps
 from ..core.allan.sums import AllanSums
 from ..core.check import Check
 from ..core.errors import AllanError, one_line
-from ..core.filters.motion_factors import LEAST_DRIVES
 from ..core.findings import Finding, finding
 from ..core.imu import SI_UNITS, ImuIdentity, sensor_of
-from ..core.stream.drive_recorder import Drives
+from ..core.stream.drive_recorder import LEAST_DRIVES, Drives
 from ..core.stream.drives import DriveErrors
 from ..core.stream.transport import faults_of
 from ..results.analysis import analyze_sums

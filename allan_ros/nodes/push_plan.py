@@ -10,8 +10,7 @@ from dataclasses import dataclass
 
 from ..core.errors import AllanError
 from ..core.fields import Fields
-from ..core.filters.motion_factors import LEAST_DRIVES
-from ..core.stream.drive_recorder import LEAST_DRIVE_S, LEAST_STOP_S, LONGEST_DRIVE_S
+from ..core.stream.drive_recorder import LEAST_DRIVE_S, LEAST_DRIVES, LEAST_STOP_S, LONGEST_DRIVE_S
 from ..export import ExportOptions
 from ..readers.files import config_file, read_yaml
 

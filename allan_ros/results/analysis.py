@@ -27,7 +27,6 @@ from ..core.fit.fit_findings import not_noise_findings, with_deviations
 from ..core.fit.model_curve import dominant_regions
 from ..core.fit.result import NoiseModel
 from ..core.fit.stationary import fit_stationary
-from ..core.fit.temperature import temperature_models
 from ..core.imu import AXES
 from ..core.settings import AUTO
 from ..core.stream.health import sums_findings
@@ -131,6 +130,8 @@ def analyze_recorded(
         axes |= {axis: replace(axes[axis], at_rest=rest) for axis, rest in rests.items()}
     temperature_findings: list[Finding] = []
     if len(celsius) > 1:
+        from ..core.fit.temperature import temperature_models
+
         for complete_sums, fit in zip(recorded.sums, fits):
             models, model_findings = temperature_models(complete_sums, time_ns, celsius, fit)
             axes |= {name: replace(axes[name], temperature=m) for name, m in models.items()}

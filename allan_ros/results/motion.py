@@ -11,15 +11,15 @@ from typing import TYPE_CHECKING
 
 from ..core.filters.drive_likelihood import NoiseAtRest
 from ..core.filters.motion_factors import (
-    LEAST_DRIVES,
     NoiseInMotion,
     axis_noise,
     noise_in_motion,
 )
 from ..core.findings import Finding, finding
 from ..core.imu import AXES
-from ..core.stream.drive_recorder import Drives
+from ..core.stream.drive_recorder import LEAST_DRIVES, Drives
 from .axis_result import AxisResult
+from .results import MOTION_MEASURED
 
 if TYPE_CHECKING:
     from .results import Results
@@ -40,9 +40,6 @@ share of the ratio without calibration errors."""
 INTEGRAL_NAMES = {'gyro': 'angle', 'accel': 'velocity'}
 """Sensor -> name of the integral of its samples."""
 
-MEASURED = ('error_in_motion', 'motion_as_at_rest')
-"""Ids of the findings that state the ratio of the errors in motion to the predicted errors."""
-
 CAUSE_NAMES = {
     'rotation': 'a rotation between gyro and accelerometer',
     'gyro_matrix': 'scale factors or misalignments of the gyro',
@@ -60,7 +57,7 @@ def with_motion(results: Results, drives: Drives) -> Results:
     motion, motion_findings = measure_motion(
         drives, results.axes, results.duration_s, 0.0, hidden=is_hidden(results.findings)
     )
-    other_findings = (f for f in results.findings if f.id not in MEASURED)
+    other_findings = (f for f in results.findings if f.id not in MOTION_MEASURED)
     return replace(results, motion=motion, findings=(*other_findings, *motion_findings))
 
 

@@ -14,7 +14,7 @@ from ..core.errors import AllanError
 from ..core.estimate import Estimate
 from ..core.findings import Finding
 from ..core.fit.record_length import TOO_SHORT_S, longest_recommended, recommended_duration
-from ..core.fit.temperature import TemperatureModel
+from ..core.fit.result import TemperatureModel
 from ..core.imu import ImuIdentity, sensor_of
 from ..readers.recorded import Provenance, RecordingSums
 from .axis_result import AxisResult
@@ -33,6 +33,9 @@ SENSOR_FAULTS = ('no_noise', 'sensor_all_zero')
 WRONG_UNITS = ('gyro_unit', 'gyro_unit_changed', 'accel_unit')
 """Ids of findings about a wrong unit of measurement. With such a finding, a comparison with limits
 says nothing about the sensor."""
+
+MOTION_MEASURED = ('error_in_motion', 'motion_as_at_rest')
+"""Ids of the findings that state the ratio of the errors in motion to the predicted errors."""
 
 UNSUITABLE = ('not_noise', 'not_settled')
 """Ids of findings about data that do not show the noise of the sensor at rest."""

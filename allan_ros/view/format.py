@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.estimate import RESOLVED_HALF_WIDTHS, value_text
-from ..core.fit.result import Deviation
-from ..core.fit.temperature import TemperatureModel
+from ..core.fit.result import Deviation, TemperatureModel
 from ..core.imu import ShownUnit, shown_unit
 from ..core.number_text import prefixed, significant
 

@@ -18,8 +18,7 @@ import pytest
 import yaml
 
 from allan_ros.core.estimate import Estimate
-from allan_ros.core.fit.result import model_of_terms
-from allan_ros.core.fit.temperature import SlowNoise, TemperatureModel
+from allan_ros.core.fit.result import SlowNoise, TemperatureModel, model_of_terms
 from allan_ros.core.noise import GaussMarkov, Model, Part
 from allan_ros.export import ExportOptions, make_export
 from allan_ros.export.targets import TARGETS

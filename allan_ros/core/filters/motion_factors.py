@@ -16,15 +16,11 @@ from ..estimate import Estimate
 from ..fields import Fields
 from ..imu import SENSORS
 from ..noise import Model
+from ..stream.drive_recorder import LEAST_DRIVES
 from ..stream.drives import ROTATION, VELOCITY, DriveErrors, cross_matrices
 from .drive_likelihood import CAUSES, DriveLikelihood, Fit, NoiseAtRest
 
 Floats = NDArray[np.float64]
-
-LEAST_DRIVES = 5
-"""Smallest number of drives for which factors are computed. With five drives, Student's t
-distribution has three degrees of freedom. The intervals are then 1.6 times as wide as with many
-drives (quantiles 3.2 and 1.96)."""
 
 DRIFT_S, SPREAD = 100.0, 25.0
 """Assumed size of an unknown drift. The random walk of a typical drift adds as much variance to an

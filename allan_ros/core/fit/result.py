@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Result types of a fit: five terms per axis with intervals, and the model of each axis."""
+"""Result types of a fit: terms with intervals, model, and bias over temperature, for each axis."""
 
 from __future__ import annotations
 
@@ -174,3 +174,74 @@ class NoiseModel:
     tau0: float
     axes: Mapping[str, AxisFit]
     findings: tuple[Finding, ...] = field(default=())
+
+
+@dataclass(frozen=True)
+class SlowNoise:
+    """Bias instability and rate random walk, fitted to the block means."""
+
+    B: Estimate
+    K: Estimate
+
+
+@dataclass(frozen=True)
+class TemperatureModel:
+    """Bias of one axis: b(T) = b0 + b1 (T - T0) + b2 (T - T0)^2, in SI and K.
+
+    Attributes
+    ----------
+    reference, lowest, highest : float
+        T0, and the lowest and highest temperature of the block means, in degC.
+    b0, b1, b2 : float
+        Mean over the recordings of the bias at T0, slope at T0 per K, and curvature per K^2. The
+        bias of an accelerometer contains gravity.
+    b0_ci95, b1_ci95, b2_ci95 : (low, high)
+        95 % intervals.
+    hysteresis : float
+        Bias while the temperature rises minus bias while it falls, at equal temperature and with
+        the mean rate of change.
+    hysteresis_ci95 : (low, high)
+        95 % interval.
+    rate : float
+        Mean rate of change of the temperature, r = mean |dT/dt|, in K/s.
+    resolved : bool
+        Whether b1 or b2 differs from 0 (false-alarm probability 1 %).
+    explained : float or None
+        Share of the variance of the block means, without their white noise, that the temperature
+        explains; None if white noise alone explains that variance.
+    averaging_time : float
+        Length of the block means in s.
+    measured, corrected : SlowNoise
+        B and K of the block means, without and with the temperature in the model. Q and N do not
+        change.
+    """
+
+    reference: Signed
+    lowest: Signed
+    highest: Signed
+    b0: Signed
+    b0_ci95: tuple[float, float]
+    b1: Signed
+    b1_ci95: tuple[float, float]
+    b2: Signed
+    b2_ci95: tuple[float, float]
+    hysteresis: Signed
+    hysteresis_ci95: tuple[float, float]
+    rate: float
+    resolved: bool
+    explained: float | None
+    averaging_time: float
+    measured: SlowNoise
+    corrected: SlowNoise
+
+    @property
+    def lag(self) -> float | None:
+        """Time in s by which the bias lags behind the thermometer; None if b1 may be 0."""
+        if self.b1_ci95[0] <= 0.0 <= self.b1_ci95[1]:
+            return None
+        return -self.hysteresis / (2.0 * self.b1 * self.rate)
+
+    def bias(self, celsius: Floats) -> Floats:
+        """Return b(T) in SI at temperatures in degC; the result has the shape of ``celsius``."""
+        x = np.asarray(celsius, float) - self.reference
+        return np.asarray(self.b0 + x * (self.b1 + x * self.b2))

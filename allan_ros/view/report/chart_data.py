@@ -13,9 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ...core.allan.curve import Spectrum, noise_density
-from ...core.fit.result import TERMS
+from ...core.fit.result import TERMS, TemperatureModel
 from ...core.fit.statistics import expected_power
-from ...core.fit.temperature import TemperatureModel
 from ...core.imu import AXES, SENSORS, shown_unit
 from ...core.noise import Model
 from ...core.settings import UNIT_SYSTEMS

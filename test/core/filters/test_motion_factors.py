@@ -10,7 +10,6 @@ from support.simulate_drives import MotionErrors, Route, SimulatedDrives, simula
 
 from allan_ros.core.estimate import Estimate
 from allan_ros.core.filters.motion_factors import (
-    LEAST_DRIVES,
     TYPICAL_SHARE,
     DriveRatio,
     NoiseInMotion,
@@ -19,6 +18,7 @@ from allan_ros.core.filters.motion_factors import (
     noise_in_motion,
 )
 from allan_ros.core.noise import Model
+from allan_ros.core.stream.drive_recorder import LEAST_DRIVES
 from allan_ros.core.stream.drives import Drive, DriveErrors, Rest, drive_errors
 
 RATE = 50.0

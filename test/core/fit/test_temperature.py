@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from allan_ros.core.allan.running import RunningSums
 from allan_ros.core.allan.sums import AllanSums
 from allan_ros.core.fit.methods import fit_noise
-from allan_ros.core.fit.temperature import TemperatureModel, _returns, temperature_models
+from allan_ros.core.fit.result import TemperatureModel
+from allan_ros.core.fit.temperature import _returns, temperature_models
 from allan_ros.core.imu import AXES, from_datasheet
 from allan_ros.core.noise import Model
 from allan_ros.core.simulator import simulate_axis
