@@ -40,8 +40,8 @@ from ..stream.drives import (
     ROTATION,
     ROWS,
     VELOCITY,
+    DriftCovariance,
     DriveErrors,
-    SlowNoise,
     cross_matrices,
 )
 
@@ -86,7 +86,7 @@ class NoiseAtRest(NamedTuple):
     white : float
         White noise density N in SI.
     slow : function
-        Autocovariance of the noise that is not white (the drift); see `SlowNoise`.
+        Autocovariance of the noise that is not white (the drift); see `DriftCovariance`.
     unknown : float
         Prior standard deviation of the logarithm of the power of the drift, if the size of the
         drift is unknown; 0 if the drift was measured. The size of an unknown drift is estimated
@@ -94,7 +94,7 @@ class NoiseAtRest(NamedTuple):
     """
 
     white: float
-    slow: SlowNoise
+    slow: DriftCovariance
     unknown: float = 0.0
 
 
@@ -407,7 +407,7 @@ def _turned_earth(drives: Sequence[DriveErrors]) -> Floats:
     return effects.reshape(len(drives), ROWS, -1)
 
 
-def _bias_scatter(slow: SlowNoise, drives: Sequence[DriveErrors]) -> float:
+def _bias_scatter(slow: DriftCovariance, drives: Sequence[DriveErrors]) -> float:
     """Return the expected sample variance of a bias at the starts of the drives.
 
     ``slow`` is the autocovariance of the bias. Each bias is a mean over 10 s.

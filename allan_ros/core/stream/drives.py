@@ -47,7 +47,7 @@ SLOW_BLOCKS = 96
 noise."""
 
 
-SlowNoise = Callable[[float, ArrayLike], Floats]
+DriftCovariance = Callable[[float, ArrayLike], Floats]
 """Function (M, j) -> array: the autocovariance of the means of consecutive blocks of M seconds at a
 lag of j blocks, in the squared unit of the samples. It may lack a constant that is the same for all
 M."""
@@ -171,7 +171,7 @@ class DriveErrors:
             'rests': (squares * self.rests).sum(axis=0),
         }
 
-    def slow_covariance(self, axis: int, slow: SlowNoise) -> Floats:
+    def slow_covariance(self, axis: int, slow: DriftCovariance) -> Floats:
         """Return the covariance of the residuals, (9, 9), due to the noise ``slow`` of one axis."""
         lags = np.arange(len(self.slow))
         weights, autocovariance = self.slow[:, :, axis], np.asarray(slow(self.block, lags))
