@@ -29,6 +29,8 @@ from typing import NamedTuple
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 os.environ.update(OPENBLAS_NUM_THREADS='1', PYTHONPATH=str(ROOT))
+# with this variable, each process would compile the package again, which takes 0.5 s
+os.environ.pop('PYTHONDONTWRITEBYTECODE', None)
 
 RATE_HZ = 200.0
 MINUTE, SHORT, LONG = 12_000, 720_000, 7_200_000

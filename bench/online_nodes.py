@@ -19,6 +19,8 @@ sys.path.insert(0, str(ROOT / 'test'))  # contains `support`
 TICKS = os.sysconf('SC_CLK_TCK')
 os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
 os.environ.setdefault('ROS_DOMAIN_ID', '99')
+# with this variable, each process would compile the package again
+os.environ.pop('PYTHONDONTWRITEBYTECODE', None)
 
 EMPTY_SUBSCRIBER = """
 import rclpy
