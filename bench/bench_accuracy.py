@@ -318,11 +318,10 @@ def beyond(axis: ar.AxisResult, seconds: float) -> tuple[int, int]:
     return int(np.sum((measured < low) | (measured > high))), len(measured)
 
 
-def real() -> None:
-    """Print how the Allan curves of the shared recordings differ from the curves of the models.
+def shared_recordings() -> dict[str, np.ndarray]:
+    """Return the shared recordings of six axes: name -> samples.
 
-    A line has for each sensor the range of the ratios of the two curves up to T/20 (medians of the
-    octaves), where T is the duration, and the result of `beyond` for the longer times.
+    The samples are (n, 7): time in s, then the axes of the gyro and of the accelerometer in SI.
     """
     data = Path(os.environ.get('ALLAN_ROS_SHARED', '../shared')) / 'data'
     static = runpy.run_path(str(data / 'static' / 'load.py'))['load']
@@ -332,7 +331,16 @@ def real() -> None:
         t, gyro, accel = static(file.stem)
         if accel is not None and gyro.shape[1] == 3:
             recordings[file.stem] = np.column_stack([t, gyro, accel])
-    for name, rows in recordings.items():
+    return recordings
+
+
+def real() -> None:
+    """Print how the Allan curves of the shared recordings differ from the curves of the models.
+
+    A line has for each sensor the range of the ratios of the two curves up to T/20 (medians of the
+    octaves), where T is the duration, and the result of `beyond` for the longer times.
+    """
+    for name, rows in shared_recordings().items():
         rows = rows[np.isfinite(rows).all(axis=1)]
         rate = 1.0 / float(np.median(np.diff(rows[:, 0])))
         began = time.process_time()

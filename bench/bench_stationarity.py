@@ -5,20 +5,26 @@
 python bench/bench_stationarity.py alarms --records 100    findings in records without changes
 python bench/bench_stationarity.py gains --records 100     gains in likelihood in such records
 python bench/bench_stationarity.py power --records 20      records with warm-up, steps or more noise
+python bench/bench_stationarity.py sixths                  coefficients of parts of real recordings
+python bench/bench_stationarity.py halves                  predicted and actual drift of such parts
 """
 
 from __future__ import annotations
 
 import argparse
+import math
 import time
 from collections.abc import Callable, Iterator
 
 import numpy as np
+from bench_accuracy import shared_recordings
 from numpy.typing import NDArray
 from scipy.stats import beta
 
+import allan_ros as ar
 from allan_ros.core.allan.running import RunningSums
 from allan_ros.core.allan.sums import AllanSums
+from allan_ros.core.filters.growth import growth_table
 from allan_ros.core.fit import bias_changes, settling
 from allan_ros.core.fit.methods import fit_noise
 from allan_ros.core.fit.result import NoiseModel
@@ -149,10 +155,110 @@ def show_power(records: int, seed: int) -> Iterator[tuple[str, ...]]:
         yield name, band(found, records), '' if np.isnan(truth) else band(covered, number)
 
 
+# --- real recordings ------------------------------------------------------------------------------
+
+LEAST_PART_S = 60.0
+"""Shortest part in s into which a real recording is divided."""
+
+
+def parts_of(rows: Floats, number: int) -> tuple[float, list[Floats]]:
+    """Return the rate of a recording in Hz, and the samples of its parts of equal length.
+
+    ``rows`` has the time and the samples. There are no parts if they would be too short.
+    """
+    rows = rows[np.isfinite(rows).all(axis=1)]
+    rate = (len(rows) - 1) / (rows[-1, 0] - rows[0, 0])
+    n = len(rows) // number
+    if n < LEAST_PART_S * rate:
+        return rate, []
+    return rate, [rows[k * n : (k + 1) * n, 1:] for k in range(number)]
+
+
+def log_std(ends: tuple[float, float] | None) -> float:
+    """Return the standard error of the logarithm of a number with a 95 % interval."""
+    low, high = ends or (0.0, math.inf)
+    return math.log(high / low) / 3.92 if low > 0.0 else math.inf
+
+
+def show_sixths(records: int, seed: int) -> Iterator[tuple[str, ...]]:
+    """Yield how N, B and K of the sixths of each recording agree with their predictive intervals.
+
+    Chi-squared compares the logarithms of the resolved coefficients with their weighted mean. The
+    interval of each sixth is also compared with the value of each other sixth, and so is the limit
+    of a coefficient that is not resolved.
+    """
+    for name, rows in shared_recordings().items():
+        rate, parts = parts_of(rows, 6)
+        fits = [ar.analyze(y, rate=rate, motion_gate=False) for y in parts]
+        for sensor in ('gyro', 'accel') if fits else ():
+            for term in 'NBK':
+                total, freedom, inside, pairs, above, limits = 0.0, 0, 0, 0, 0, 0
+                for axis in (a for a in AXES if a.startswith(sensor)):
+                    each = [one[axis].fit.noise[term] for one in fits]
+                    known = [c for c in each if c.resolved and c.ci95 and c.ci95[0] > 0.0]
+                    if len(known) > 1:
+                        x = np.log([c.value for c in known])
+                        weight = np.array([log_std(c.ci95) for c in known]) ** -2.0
+                        total += float(weight @ (x - np.average(x, weights=weight)) ** 2)
+                        freedom += len(x) - 1
+                    for a in each:
+                        for b in known:
+                            if a is b:
+                                continue
+                            if a.resolved and a.ci95:
+                                inside += a.ci95[0] <= b.value <= a.ci95[1]
+                                pairs += 1
+                            elif a.upper95:
+                                above += a.upper95 >= b.value
+                                limits += 1
+                chi = f'{total / freedom:.2f} ({freedom})' if freedom else ''
+                yield (
+                    f'{name} {sensor} {term}',
+                    chi,
+                    f'{inside} of {pairs}',
+                    f'{above} of {limits}',
+                )
+
+
+def growth(y: Floats, rate: float, horizon: float, window: float) -> Floats:
+    """Return the root mean square error of the integral of samples, (axes,).
+
+    The bias is averaged over the time ``window`` in s before the time ``horizon`` in s.
+    """
+    theta = np.cumsum(np.pad(y - y.mean(axis=0), ((1, 0), (0, 0))), axis=0) / rate
+    h, w = round(horizon * rate), round(window * rate)
+    error = theta[h + w :] - theta[w:-h] - h / w * (theta[w:-h] - theta[: -h - w])
+    return np.sqrt(np.mean(error**2, axis=0))
+
+
+def show_halves(records: int, seed: int) -> Iterator[tuple[str, ...]]:
+    """Yield how often the drift of a half lies in the interval that is predicted from the other."""
+    horizons = (10.0, 30.0, 100.0)
+    for name, rows in shared_recordings().items():
+        rate, parts = parts_of(rows, 2)
+        inside = np.zeros((2, len(horizons)), int)
+        if len(parts[0]) < 3 * 200.0 * rate if parts else True:
+            continue
+        for known, other in (parts, parts[::-1]):
+            results = ar.analyze(known, rate=rate, motion_gate=False)
+            actual = np.array([growth(other, rate, h, 100.0) for h in horizons])
+            for i, axis in enumerate(AXES):
+                for k, one in enumerate(growth_table(results[axis].fit, horizons)):
+                    low, high = one.std.ci95 or (math.nan, math.nan)
+                    inside[i // 3, k] += low <= actual[k, i] <= high
+        for sensor, found in zip(('gyro', 'accel'), inside.tolist()):
+            yield (f'{name} {sensor}', *(f'{number} of 6' for number in found))
+
+
 SHOWS = {
     'alarms': (show_alarms, ('noise', 'settling', 'steps', 'level', 'CPU time per axis')),
     'gains': (show_gains, ('noise', 'settling 90 %', '99 %', 'steps 90 %', '99 %')),
     'power': (show_power, ('effect', 'found', 'K covered')),
+    'sixths': (
+        show_sixths,
+        ('coefficient', 'chi^2/dof (dof)', 'inside other intervals', 'below other limits'),
+    ),
+    'halves': (show_halves, ('sensor', '10 s', '30 s', '100 s')),
 }
 
 

@@ -19,10 +19,10 @@ from ..allan.sums import AllanSums, part
 from ..findings import Finding, finding, quantity
 from ..imu import axes_of_sensors, sensor_of
 from .bias_changes import step_findings
+from .innovations import innovation_levels
 from .methods import fit_likelihood, fit_noise
 from .period_levels import (
     PeriodLevels,
-    PeriodSpectra,
     drift_levels,
     period_spectra,
     present_part,
@@ -31,7 +31,7 @@ from .period_levels import (
 )
 from .result import NoiseModel, with_scatter
 from .settling import SensorSettling, settling
-from .statistics import Statistics, statistics
+from .statistics import statistics
 
 MOST_LEFT = 1.0
 """Largest part of a settling that may be left at the end of a recording, relative to the Allan
@@ -103,10 +103,15 @@ def fit_stationary(
     # a settling, or white noise that increases for some time, would look like steps of the bias
     ratios = (np.divide(*levels.extremes(i)) for i in range(len(sums.axes)))
     not_tested = {i for i, ratio in enumerate(ratios) if ratio < 1.0 / SHAKY_RATIO}
-    not_tested |= {a for sensor_settling in settlings for a in sensor_settling.axes}
-    findings += step_findings(data, known, not_tested)
+    settling_times = {a: each.settling.time for each in settlings for a in each.axes}
+    findings += step_findings(data, known, not_tested | settling_times.keys())
     findings = [*level_findings(data, levels, model), *findings, *model.findings]
-    return data, replace(_with_scatter(spectra, of_axis, levels, model), findings=tuple(findings))
+    fits = list(model.axes.values())
+    drifts = (
+        drift_levels(spectra, of_axis, fits, model.tau0),
+        innovation_levels(data, fits, settling_times),
+    )
+    return data, replace(_with_scatter(levels, drifts, model), findings=tuple(findings))
 
 
 def _from_period(sums: AllanSums, at: int) -> AllanSums:
@@ -173,13 +178,18 @@ def _level_finding(
 
 
 def _with_scatter(
-    spectra: PeriodSpectra, known: Sequence[Statistics], levels: PeriodLevels, model: NoiseModel
+    levels: PeriodLevels, drifts: Sequence[PeriodLevels], model: NoiseModel
 ) -> NoiseModel:
-    """Return the model with predictive intervals for sensors whose noise varies with time."""
-    axes, names = dict(model.axes), list(model.axes)
-    drifts = drift_levels(spectra, known, list(axes.values()), model.tau0)
+    """Return the model with predictive intervals for sensors whose noise varies with time.
+
+    ``levels`` are the levels of the white noise, and ``drifts`` are levels of the drift at several
+    frequencies. The largest scatter of the drift is used.
+    """
+    axes = dict(model.axes)
+    names = list(axes)
     for indices in axes_of_sensors(names).values():
-        white, drift = scatter(levels, indices), scatter(drifts, indices)
+        white = scatter(levels, indices)
+        drift = max(scatter(each, indices) for each in drifts)
         for name in (names[i] for i in indices):
             axes[name] = with_scatter(axes[name], white, drift)
     return replace(model, axes=axes)

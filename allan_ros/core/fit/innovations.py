@@ -1,0 +1,130 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Level of the drift with time, from the innovations of the block means.
+
+An innovation is the difference between a block mean and its prediction from all earlier block means
+of the segment by the fitted model, divided by the standard deviation of this difference. If the
+model is right at all times, the innovations are independent and have a variance of 1.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from ..allan.periods import BlockMeans
+from ..allan.sums import AllanSums
+from ..noise.processes.white import White
+from .period_levels import LEAST_SHARE, PeriodLevels
+from .result import AxisFit
+from .statistics import Floats, decay_of_means
+
+MOST_MEANS = 256
+"""Largest number of block means of a segment. More block means are averaged, because drift with a
+correlation time of many block means is in neighboring block means alike."""
+
+LEAST_MEANS = 8
+"""Fewest block means of a segment whose innovations are used."""
+
+
+class _Predictor(NamedTuple):
+    """Prediction of the differences between neighboring block means of an axis."""
+
+    root: Floats  # Cholesky factor of the covariance of the differences
+    share: Floats  # share of the drift in the variance of each innovation
+
+    @classmethod
+    def of(cls, fit: AxisFit, tau0: float, step: int, number: int) -> _Predictor:
+        """Return the prediction of ``number`` differences of means over ``step`` samples."""
+        lag = np.arange(number + 1)
+        total, drift = np.zeros((2, number + 1))
+        for part in fit.model.parts:
+            process = part.process.in_unit(tau0)
+            if process.is_regressor:
+                continue
+            variance = part.process.variance_of(part.value, tau0)
+            aliases = process.alias_variance(step)
+            gamma = variance * (
+                0.5 * step * aliases * White().gamma(step, lag)
+                if aliases
+                else process.gamma(step, lag)
+            )
+            total += gamma
+            if part.process.is_drift and not process.is_white:
+                drift += gamma
+        total_covariance, drift_covariance = (_of_differences(g) for g in (total, drift))
+        root = np.linalg.cholesky(total_covariance)
+        whitened = np.linalg.solve(root, np.linalg.solve(root, drift_covariance).T)
+        return cls(root, np.diag(whitened))
+
+    def innovations(self, differences: Floats, effects: Floats) -> Floats:
+        """Return the innovations of differences, (n,), minus ``effects``, (n, effects)."""
+        n = len(differences)
+        whitened = np.linalg.solve(self.root[:n, :n], np.column_stack([effects, differences]))
+        sizes = np.linalg.lstsq(whitened[:, :-1], whitened[:, -1], rcond=None)[0]
+        return np.asarray(whitened[:, -1] - whitened[:, :-1] @ sizes)
+
+
+def innovation_levels(
+    sums: AllanSums, fits: Sequence[AxisFit], settlings: Mapping[int, float]
+) -> PeriodLevels:
+    """Return the level of the drift in each block mean.
+
+    The level of a block mean is the square of its innovation, with one degree of freedom.
+
+    Parameters
+    ----------
+    sums : AllanSums
+    fits : sequence of AxisFit
+        Fit of each axis.
+    settlings : mapping of int to float
+        Index of an axis -> time constant of its settling in samples.
+    """
+    segments = [m for r in sums.recordings for m in r.means]
+    step = max((m.step for m in segments), default=1)
+    longest = max((len(m.values) * m.step for m in segments), default=0)
+    while longest > MOST_MEANS * step:
+        step *= 2
+    segments = [m for m in (m.coarser(step) for m in segments) if len(m.values) >= LEAST_MEANS]
+    number = sum(len(m.values) - 1 for m in segments)
+    power, dof = np.zeros((2, number, len(sums.axes)))
+    share = np.zeros(len(sums.axes))
+    for i, fit in enumerate(fits):
+        if not segments or not fit.model.has_drift:
+            continue
+        try:
+            predictor = _Predictor.of(
+                fit, sums.tau0 or 1.0, step, max(len(m.values) for m in segments) - 1
+            )
+        except np.linalg.LinAlgError:  # nearly all power is at the frequencies of sinusoids
+            continue
+        share[i] = predictor.share.mean()
+        if share[i] < LEAST_SHARE:
+            continue
+        each = [
+            predictor.innovations(np.diff(m.values[:, i]), _effects(m, settlings.get(i, 0.0)))
+            for m in segments
+        ]
+        power[:, i], dof[:, i] = np.concatenate(each) ** 2, 1.0
+    return PeriodLevels(power, dof, np.full(number, step), share)
+
+
+def _of_differences(gamma: Floats) -> Floats:
+    """Return the covariance of the differences between neighboring means, (n, n).
+
+    ``gamma`` has the autocovariance of the means at the lags 0 to n.
+    """
+    lag = np.arange(len(gamma) - 1)
+    values = 2.0 * gamma[lag] - gamma[np.abs(lag - 1)] - gamma[lag + 1]
+    return np.asarray(values[np.abs(lag[:, None] - lag)])
+
+
+def _effects(means: BlockMeans, time: float) -> Floats:
+    """Return the differences of a ramp, and of a settling with the time constant ``time``."""
+    number = len(means.values)
+    effects = [np.ones(number - 1)]
+    if time:
+        effects.append(np.diff(decay_of_means(time, means.step, number)))
+    return np.column_stack(effects)
