@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Level of the drift with time, from the innovations of the block means.
 
-An innovation is the difference between a block mean and its prediction from all earlier block means
-of the segment by the fitted model, divided by the standard deviation of this difference. If the
-model is right at all times, the innovations are independent and have a variance of 1.
+An innovation is the error with which the fitted model predicts a block mean from all earlier block
+means of the segment, divided by the standard deviation of this error. If the model is right at all
+times, the innovations are independent and have a variance of 1.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from .result import AxisFit
 from .statistics import Floats, decay_of_means
 
 MOST_MEANS = 256
-"""Largest number of block means of a segment. More block means are averaged, because drift with a
-correlation time of many block means is in neighboring block means alike."""
+"""Largest number of block means of a segment. More block means are averaged in pairs, which keeps
+the covariance matrix of the block means small."""
 
 LEAST_MEANS = 8
 """Fewest block means of a segment whose innovations are used."""
@@ -54,9 +54,8 @@ class _Predictor(NamedTuple):
             total += gamma
             if part.process.is_drift and not process.is_white:
                 drift += gamma
-        total_covariance, drift_covariance = (_of_differences(g) for g in (total, drift))
-        root = np.linalg.cholesky(total_covariance)
-        whitened = np.linalg.solve(root, np.linalg.solve(root, drift_covariance).T)
+        root: Floats = np.asarray(np.linalg.cholesky(_of_differences(total)), np.float64)
+        whitened: Floats = np.linalg.solve(root, np.linalg.solve(root, _of_differences(drift)).T)
         return cls(root, np.diag(whitened))
 
     def innovations(self, differences: Floats, effects: Floats) -> Floats:
