@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Level of the drift with time, from the innovations of the block means.
+"""Level of the drift, from the innovations of the block means.
 
 An innovation is the error with which the fitted model predicts a block mean from all earlier block
 means of the segment, divided by the standard deviation of this error. If the model is right at all
