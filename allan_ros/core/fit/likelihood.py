@@ -313,13 +313,14 @@ def _step(information: Floats, moment: Floats, sign: Flags) -> Floats:
 
     I is ``information``, and m is ``moment``.
     """
+    from scipy.linalg import lapack  # slow to import
+
     d = np.sqrt(np.maximum(np.diag(information), 1e-300))
     root = np.linalg.cholesky(information / np.outer(d, d) + RIDGE * np.eye(len(d)))
-    target = np.linalg.solve(root, moment / d)
-    unconstrained = np.linalg.solve(root.T, target)
+    unconstrained = lapack.dpotrs(root, moment / d, lower=1)[0]
     if np.all((unconstrained >= 0.0) | sign):
         return np.asarray(unconstrained / d)
-    return nonnegative_least_squares(root.T, target, sign) / d
+    return nonnegative_least_squares(root.T, np.linalg.solve(root, moment / d), sign) / d
 
 
 class Interval(NamedTuple):
