@@ -163,17 +163,18 @@ class AxisSegment:
         whitened = np.linalg.solve(root, np.column_stack([effects, self.z]))
         return whitened[:, :-1], whitened[:, -1]
 
-    def scores(self, effects: Floats, beside: Floats, fit: Fit) -> Floats:
+    def scores(self, effects: Floats, others: Floats, fit: Fit) -> Floats:
         """Return the score of each column of ``effects``, (effects,).
 
         The score of an effect is the square of its estimated size, divided by the variance of this
-        estimate. The model consists of this effect, the effects ``beside``, and the noise of
-        ``fit``. Each column of ``effects`` and ``beside`` contains the contrasts of one effect.
+        estimate. The model consists of this effect, the effects ``others``, and the noise of
+        ``fit``. Each column of ``effects`` and ``others`` contains the contrasts of one effect.
         """
-        whitened, z = self._whitened(np.column_stack([beside, effects]), fit)
-        whitened_beside, whitened = whitened[:, : beside.shape[1]], whitened[:, beside.shape[1] :]
-        if whitened_beside.shape[1]:
-            q, _ = np.linalg.qr(whitened_beside)
+        whitened, z = self._whitened(np.column_stack([others, effects]), fit)
+        number = others.shape[1]
+        whitened_others, whitened = whitened[:, :number], whitened[:, number:]
+        if number:
+            q, _ = np.linalg.qr(whitened_others)
             whitened, z = whitened - q @ (q.T @ whitened), z - q @ (q.T @ z)
         information = np.sum(whitened**2, axis=0)
         return np.where(

@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Level of the drift, from the innovations of the block means.
 
-An innovation is the error with which the fitted model predicts a block mean from all earlier block
-means of the segment, divided by the standard deviation of this error. If the model is right at all
-times, the innovations are independent and have a variance of 1.
+An innovation is the error with which the model predicts a block mean from all earlier block means
+of the segment, divided by the standard deviation of this error. If the model is right, the
+innovations are independent and have a variance of 1.
 """
 
 from __future__ import annotations

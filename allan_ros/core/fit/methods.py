@@ -83,9 +83,8 @@ def fit_likelihood(sums: AllanSums, of_axes: Sequence[Statistics] = ()) -> Noise
             )
             findings.append(finding(id, (name,), **numbers))
             continue
-        if not np.all(
-            np.isfinite(known.power[:, a])
-        ):  # due to a wrong unit, which the stream reports
+        if not np.all(np.isfinite(known.power[:, a])):
+            # The samples have a wrong unit of measurement, which the stream reports.
             axes[name] = without_estimates()
             continue
         brief = sums.samples * tau0 < LEAST_DRIFT_S

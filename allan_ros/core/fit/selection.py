@@ -59,9 +59,10 @@ TOLERANCE = 0.03
 """Change of -2 log L in one step below which a fit, or the improvement of shapes, ends."""
 
 PROMISING = 0.4
-"""Least approximate gain of a candidate that is fitted, relative to the threshold, and least share
-of the final gain that a candidate has before its shape is improved. Both conditions save time. They
-do not change the false alarms in recordings without processes."""
+"""A candidate is fitted only if its approximate gain is at least this fraction of the threshold.
+The shape of a fitted candidate is improved only if this can make it the best candidate. Before this
+improvement, its gain is assumed to be at least this fraction of the final gain. Both conditions
+save time. They do not change the false alarms in recordings without processes."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -32,8 +32,8 @@ from .result import AxisFit, NoiseModel, SlowNoise, TemperatureModel
 from .statistics import Floats, Ints, statistics
 
 TEMPERATURE_RESOLVED = 0.01
-"""The bias of an axis depends on temperature if the probability of the F test of b1 and b2 is below
-this value."""
+"""The bias of an axis depends on temperature if the F test of its linear and quadratic coefficients
+has a probability below this value."""
 
 LEAST_RETURN = 1.0 / 3.0
 """Share of the temperature range by which the temperature must rise and also fall. Otherwise, the

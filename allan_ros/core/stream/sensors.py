@@ -64,8 +64,8 @@ MIN_CLIPPED = 0.05
 """Smallest share of samples at the maximum or at the minimum that indicates clipping."""
 
 CLIPPED_RATIO, CLIPPED_VALUES = 3, 8
-"""An axis is clipped if its maximum (or minimum) occurs at least the first number of times as often
-as the next value, and if it has at least the second number of different values. At a coarse
+"""An axis is clipped if its maximum (or minimum) occurs at least `CLIPPED_RATIO` times as often as
+the next value, and if the axis has at least `CLIPPED_VALUES` different values. At a coarse
 resolution, most samples of an axis that is not clipped have one of two values."""
 
 
