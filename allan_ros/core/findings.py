@@ -131,7 +131,7 @@ def _catalog(text: str) -> Iterator[tuple[str, CatalogEntry]]:
 _TEXT = (get_data(__package__, 'findings.txt') or b'').decode()
 
 CATALOG = dict(_catalog(_TEXT))
-"""Id of a finding -> its entry."""
+"""Id of a finding -> entry of the catalog."""
 
 _FAULTS, _NUMBERS, LIVE, UNUSABLE = (
     re.findall(rf'(?m)^\[{name}\]\n((?: .*\n)*)', _TEXT)[0].split()
@@ -198,7 +198,7 @@ def _value(value: Any) -> Any:
 
 
 class Several(tuple):  # type: ignore[type-arg]
-    """The different values that a number has on several axes; the text states their range."""
+    """The different values of a number on several axes; a message states their range."""
 
 
 def grouped(findings: Iterable[Finding]) -> tuple[Finding, ...]:

@@ -149,7 +149,7 @@ class Segment:
 
 @dataclass(frozen=True, eq=False)
 class AxisSegment:
-    """One axis of a segment, and the fit of its noise without effects."""
+    """One axis of a segment, and the fit of its noise without steps and without a settling."""
 
     data: AxisData
     columns: Columns
@@ -215,7 +215,7 @@ class AxisSegment:
 
 
 class FittedEffects(NamedTuple):
-    """Sizes of effects, and the fit of the noise to the data minus these effects."""
+    """Sizes of steps or of a settling, and the fit of the noise to the data minus these effects."""
 
     sizes: Floats  # (effects,) sizes of the effects in SI
     fit: Fit

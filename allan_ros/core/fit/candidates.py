@@ -41,6 +41,7 @@ class Moments(NamedTuple):
 
     score: Floats  # (candidates,) first derivatives of the log likelihood
     information: Floats  # (candidates,) Fisher information
+
     # Fisher information between candidates and components of the fit, (candidates, components)
     shared: Floats
 

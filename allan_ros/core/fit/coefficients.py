@@ -48,6 +48,7 @@ class Errors(NamedTuple):
     """Errors of the coefficients and shapes of a fit, in the units of the fit."""
 
     information: Floats  # Fisher information of the coefficients, then of the shapes
+
     # covariance of the coefficients, which includes the uncertainty of the shapes; 0 for
     # coefficients that are held at 0
     covariance: Floats

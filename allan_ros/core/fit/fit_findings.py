@@ -49,8 +49,8 @@ HARMONIC, HIGHEST_HARMONIC = 0.01, 6.5
 limit of this multiple. The limit is needed because every frequency is near some high multiple."""
 
 MOST_LINES = 3
-"""Largest number of oscillations in the model of an axis that a machine such as a fan causes beside
-the sensor."""
+"""Largest number of oscillations in the model of an axis that may have an external cause, such as a
+fan, without hiding the noise."""
 
 SLOW_HZ = 3.0
 """Frequency in Hz below which an oscillation counts as motion. Machines and buildings vibrate
@@ -117,8 +117,8 @@ def with_deviations(model: NoiseModel, curve: AllanCurve) -> NoiseModel:
 class Line(NamedTuple):
     """Sinusoid in the model of an axis."""
 
-    frequency: float  # in Hz
-    amplitude: float  # in SI
+    frequency: float  # frequency in Hz
+    amplitude: float  # amplitude in SI
 
 
 def with_harmonics(lines: Sequence[Line]) -> list[list[Line]]:

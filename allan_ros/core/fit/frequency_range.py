@@ -152,6 +152,7 @@ class _Verdict(NamedTuple):
 
     fits: bool  # whether no octave differs from the model
     looks_filtered: bool  # whether the spectrum bends like the spectrum of a low-pass filter
+
     # whether the white noise is not resolved, or processes of the model may imitate a filter
     may_hide_filter: bool
 

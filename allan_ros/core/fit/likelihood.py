@@ -49,6 +49,7 @@ class Columns(NamedTuple):
     """Expected statistics for each component of a model, with the coefficient 1."""
 
     power: Floats  # (bins, components) expected power
+
     # covariance of the contrasts of each group, (components, contrasts, contrasts)
     low: list[Floats]
 
@@ -125,8 +126,9 @@ class LowBand(NamedTuple):
     """
 
     segments: int  # number of segments
-    line: Floats  # (contrasts,) sum of z over the segments
-    # sum of z z' over the segments, without the first contrast, (contrasts - 1, contrasts - 1)
+    line: Floats  # (contrasts,) sum of the contrasts z over the segments
+
+    # (contrasts - 1, contrasts - 1) sum of z z' over the segments, for z without the first contrast
     gram: Floats
 
 

@@ -207,7 +207,7 @@ class PeriodLevels:
         like an increase by the same factor.
         """
         before, after = self.usual(axis, at), self.mean(axis, slice(at, None))
-        if not (before > 0.0 and after > 0.0):  # the samples before or after are constant
+        if not (before > 0.0 and after > 0.0):  # no noise before or after the change
             return 0.0
         ratio = after / before
         return float(np.sqrt(max(ratio, 1.0 / ratio)) - 1.0)

@@ -141,7 +141,7 @@ def settling(sums: AllanSums, known: Statistics, axes: Sequence[int]) -> SensorS
     for i, sensor in sensors.items():
         effects = sensor.effects(time)
         if sum(max(one.gain, 0.0) for one in effects.values()) < GAIN_SETTLING:
-            continue  # this recording does not settle
+            continue  # this recording has no settling
         recording, segment = sums.recordings[i], sensor.segment
         elapsed_samples = elapsed(recording, segment.means, tau0)
         size = np.zeros(len(sums.axes))

@@ -51,6 +51,7 @@ class Size(NamedTuple):
 
     points: int  # number of block means of each segment
     high: int  # number of cosines with which the block means are weighted
+
     # time constant, in block means, of a settling to which the contrasts are orthogonal; 0 for none
     decay: float = 0.0
 
@@ -146,7 +147,7 @@ def _transformed(size: Size) -> Floats:
     return np.concatenate([f.real, f.imag])
 
 
-@lru_cache(maxsize=96)  # for the processes of a fit, and the most recent shapes of a search
+@lru_cache(maxsize=96)  # enough for the processes of a fit and the latest shapes of a search
 def _low_covariances(process: Process, step: int, sizes: Sizes) -> list[Floats]:
     """Return the covariance of the contrasts of block means for unit noise, for each size."""
     return _covariances_of(process.gamma, step, sizes)
@@ -172,7 +173,7 @@ class Group(NamedTuple):
 
     size: Size
     segments: int  # number of segments
-    sums: Floats  # (axes, contrasts) sum of z over the segments
+    sums: Floats  # (axes, contrasts) sum of the contrasts z over the segments
     gram: Floats  # (axes, contrasts, contrasts) sum of z z' over the segments
 
 
@@ -180,6 +181,7 @@ class Column(NamedTuple):
     """Expectation of the statistics for a process with the coefficient 1."""
 
     power: Floats  # (bins,) expected power
+
     # covariance of the contrasts of each group, (contrasts, contrasts); the first contrast is a
     # line in time
     low: list[Floats]
@@ -253,7 +255,7 @@ class Statistics:
         low = _low_covariances(White(), self.step, self.sizes)
         sizes = np.array([octave(o).length for o in range(self.octaves)])
         length = self.replaced[:, 0]
-        is_short = length[:, None] <= MAX_INTERPOLATED * sizes  # (stretches, octaves)
+        is_short = length[:, None] <= MAX_INTERPOLATED * sizes  # shape (stretches, octaves)
         first_octave = np.argmax(np.column_stack([is_short, np.ones(len(length), bool)]), axis=1)
         columns = []
         for stretches_per_sample in self.replaced[:, 2:].T / max(self.samples, 1):

@@ -64,8 +64,9 @@ coefficient is 0.7 %, far below the errors of the other coefficients."""
 class _Blocks(NamedTuple):
     """Means of blocks of equal length from all segments, with their temperature."""
 
-    step: int  # samples per block
+    step: int  # number of samples per block
     recording: Ints  # index of the recording of each block, (n,)
+
     # time from the start of the first segment to the middle of each block, in blocks, (n,)
     time: Floats
     celsius: Floats  # mean temperature of each block in degC, (n,)
@@ -185,7 +186,8 @@ def _complement(columns: Floats) -> Floats:
 class _BlockNoise(NamedTuple):
     """Noise of the block means of one axis."""
 
-    processes: tuple[Process, ...]  # with shapes in samples
+    processes: tuple[Process, ...]  # processes whose shapes are in samples
+
     # (processes,) squared coefficients in the squared unit of the samples; NaN if to be fitted
     known: Floats
 
@@ -313,7 +315,7 @@ class _Contrasts:
         weighed = precision @ effects
         covariance = inverse(effects.T @ weighed)  # the matrix is singular for two temperatures
         gain = covariance @ weighed.T
-        gain_covariances = gain @ covariances  # (processes, effects, contrasts)
+        gain_covariances = gain @ covariances  # shape (processes, effects, contrasts)
         errors = inverse(fit.information)
         slopes = np.einsum('kei,ei->ek', gain_covariances, gain)
         variance_errors = np.einsum('ek,kl,el->e', slopes, errors, slopes)
@@ -362,7 +364,7 @@ def _model(
     slopes, slope_covariance = estimates.values[:2], estimates.covariance[:2, :2]
     test = slopes @ np.linalg.solve(slope_covariance, slopes) / 2.0
     values, covariance = estimates.values * math.sqrt(scale), estimates.covariance * scale
-    # the variance of the level contains white noise of all block means, and errors of the effects
+    # the variance of `level` contains white noise of all block means, and errors of the effects
     y, mean_effects = blocks.values[:, contrasts.data.axis], effects.mean(axis=0)
     white = float(corrected.fit.p[NOISE.index(White())]) * scale / blocks.step
     level = float(y.mean() - mean_effects @ values)

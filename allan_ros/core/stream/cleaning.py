@@ -35,9 +35,9 @@ BACKWARD_RUN = 16
 set back. Fewer such samples are excluded."""
 
 JUMP_DISTANCE = 4096
-"""The number of earlier stamps that shows that the clock was set back, at first `BACKWARD_RUN`, is
-doubled each time that the clock is set back again within `JUMP_DISTANCE` samples. Without this
-doubling, stamps in random order would split the data again and again."""
+"""If the clock is set back again within this number of samples, twice as many consecutive earlier
+stamps are needed to recognize the next time; at first, `BACKWARD_RUN` are needed. Otherwise, stamps
+in random order would split the data again and again."""
 
 REORDER = 32
 """Largest number of places by which sorting moves a sample that arrived out of order."""
@@ -87,6 +87,7 @@ class StampChoice:
         self._rate = declared_rate
         self._unit = 1  # size of the unit of the stamps in ns
         self._unusable = False  # whether the stamps are too disordered to be sorted
+
         # number of samples whose stamps were computed from the rate; None if the rate is not used
         self._computed: int | None = None
 
@@ -218,11 +219,12 @@ class CoveredTime:
     def __init__(self, covered: Sequence[tuple[int, int]] = ()) -> None:
         self.dropped = 0
         self._stretches = [[first, last] for first, last in covered]
-        self._present = [NEVER_NS, NEVER_NS]  # the covered stretch that contains the latest sample
+        # first and last stamp, in ns, of the covered stretch that contains the latest sample
+        self._present = [NEVER_NS, NEVER_NS]
         self._was_new = False  # whether the latest sample was kept
 
     def feed(self, samples: ImuBatch) -> ImuBatch:
-        """Return the samples whose time is not covered yet; it is covered afterwards."""
+        """Return the samples whose time is not covered yet; their time is covered afterwards."""
         stamps = samples.stamps_ns
         if not len(stamps):
             return samples
@@ -270,7 +272,8 @@ class SampleFilter:
         self._counts = counts
         self._latest: int | None = None  # stamp of the last sample that was returned
         self._last = 0, self._measured  # stamp and values of the last finite sample
-        self._backward = 0  # number of consecutive samples with earlier stamps
+        self._backward = 0  # number of consecutive samples with backward stamps
+
         # value of `_backward` that shows that the clock was set back (see `JUMP_DISTANCE`)
         self._needed = BACKWARD_RUN
         self._position = 0  # number of finite samples so far

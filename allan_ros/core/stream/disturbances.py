@@ -70,7 +70,7 @@ def without_spikes(
     has_more_noise = SPIKE_SIGMAS * sigma > (1.0 + 5.0 / np.sqrt(size)) * threshold[axes]
     height = np.where(has_more_noise, SPIKE_SIGMAS * sigma, threshold[axes])
     deviates = np.abs(samples - median[:, None]) > height[:, None]
-    # if more samples deviate, the IMU moves
+    # if more than a few samples deviate, the IMU moves, and no sample is replaced
     has_few_spikes = np.count_nonzero(deviates, axis=1) <= 1 + size // LEAST_WINDOW
     extended_rows = np.concatenate([before, rows, after], axis=1)
     cleaned = rows.copy()
@@ -112,7 +112,7 @@ def _is_isolated(deviates: Flags, i: int) -> bool:
 
 
 class RestLevel:
-    """Means of the last windows at rest in a segment, and numbers of its samples.
+    """Means of the last windows at rest in a segment, and numbers of samples of the segment.
 
     ``rest`` is the number of samples at rest, and ``replaced`` the number of replaced samples.
     """
@@ -144,8 +144,9 @@ class Motion:
         self.began_ns, self.ended_ns = began_ns, began_ns
         self.level = level
         self.windows = 0  # number of windows of the motion
-        self.quiet = 0  # number of windows at the end that are quiet (see `WindowClass`)
-        self.steady = 0  # number of windows at the end that are quiet or only rotating
+        self.quiet = 0  # number of quiet windows at the end of the motion (see `WindowClass`)
+        self.steady = 0  # number of quiet or only rotating windows at the end of the motion
+
         # whether the axes of the accelerometer were exchanged, or changed their signs
         self.axes_changed = False
         # means of the last windows before the motion, (k, axes)
@@ -156,7 +157,7 @@ class Motion:
         self._total: float | Floats = 0.0  # sum of the samples of the motion, (axes,)
 
     def add(self, window: ImuBatch, mean: Floats, found: WindowClass) -> None:
-        """Add the next window, its mean, (axes,), and its class."""
+        """Add the next window with its mean, (axes,), and its flags."""
         self.quiet = self.quiet + 1 if found.quiet else 0
         self.steady = self.steady + 1 if found.quiet or found.rotating else 0
         if not found.quiet:
@@ -209,7 +210,8 @@ class Motion:
         """
         if self.level is None or self.change(floor).any():
             return []
-        means_after = list(self._after)[1 - self.quiet :]  # means of windows that are not replaced
+        # means of the quiet windows at the end, except for the first, which is replaced
+        means_after = list(self._after)[1 - self.quiet :]
         number = min(len(self.before), len(means_after))
         first_mean, last_mean = (
             np.mean(w, axis=0) for w in (self.before[-number:], means_after[:number])

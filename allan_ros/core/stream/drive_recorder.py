@@ -89,6 +89,7 @@ class DriveRecorder:
         self._most = min(round((LONGEST_DRIVE_S + LONGEST_AHEAD_S) / tau0), MOST_KEPT)
         self._rest_samples = max(min(round(REST_S / tau0), MOST_KEPT), 1)
         self._raw: deque[ImuBatch] = deque()  # all samples after the last sample at rest
+
         # whether the drive is too long, so that its first samples are removed
         self._is_long = False
         self._at_rest = 0  # number of samples of the present rest
@@ -193,7 +194,8 @@ class DriveRecorder:
     def _errors(self, pending: _Pending, second_rest: Rest) -> DriveErrors:
         """Return the errors of a drive, from means of samples at `MOST_RATE` or less."""
         rows, k = pending.rows, max(math.ceil(1.0 / (self._tau0 * MOST_RATE) - 1e-9), 1)
-        # up to k - 1 samples are omitted, which are in the margin of the motion before the rest
+        # up to k - 1 samples at the end are omitted; the IMU is already at rest there, because a
+        # rest begins some time after the motion
         averaged = len(rows) // k * k
         means = rows[:averaged].reshape(-1, k, len(AXES)).mean(axis=1)
         gyro, accel, tau0 = means[:, :3], means[:, 3:], k * self._tau0

@@ -224,8 +224,8 @@ def drive_errors(drive: Drive) -> DriveErrors:
         ]
     )
 
-    # a weight is a residual per unit of an error: of a sample, or of the mean at a rest; the mean
-    # of the gyro at the first rest is subtracted from the samples of the gyro
+    # A weight is the change of a residual per unit of the error of a sample, or of the mean at a
+    # rest. The mean of the gyro at the first rest is subtracted from the samples of the gyro.
     sample_weights = np.zeros((n, ROWS, 6))
     remaining_velocity = velocity[-1] - velocity + rotated_force * (dt / 2.0)
     sample_weights[:, ROTATION, :3] = -(cross_matrices(last_rotation @ last_force) @ rotations) * dt
@@ -238,7 +238,7 @@ def drive_errors(drive: Drive) -> DriveErrors:
     first_weights[ROTATION, 3:], first_weights[VELOCITY, 3:] = -np.eye(3), -duration * np.eye(3)
 
     accel_bias = accel_weights.sum(axis=0) + first_weights[:, 3:] + last_weights[:, 3:]
-    # weights for changes of the errors since the first rest, without the effect of a constant bias
+    # weights of the first rest with which a constant bias has no effect on the residuals
     change_weights = first_weights.copy()
     change_weights[:, 3:] -= accel_bias
     blocks = _Blocks.of(drive)
@@ -311,6 +311,7 @@ class _Blocks(NamedTuple):
 
     duration: float  # duration of a block in s
     number: int  # number of blocks
+
     # (number,) share of the rest before the drive that lies in each block
     first_rest_shares: Floats
     # (n,) index of the block in which each sample of the drive lies

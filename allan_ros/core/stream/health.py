@@ -92,9 +92,9 @@ class Counts:
     """
 
     received: int = 0
-    used: int = 0  # samples in the sums, including interpolated samples
+    used: int = 0  # samples in the Allan sums, including interpolated samples
     skipped: int = 0  # samples in the warm-up time, or in a time that earlier samples cover
-    other_frame: int = 0  # samples with an earlier frame_id whose sums were discarded
+    other_frame: int = 0  # samples with a frame_id whose Allan sums were discarded
     not_finite: int = 0  # samples with a value that is NaN, infinite, or too large for any IMU
     duplicate: int = 0  # samples whose stamp and values repeat the previous sample
     backward: int = 0  # excluded samples with a stamp that is earlier than the latest stamp
@@ -108,7 +108,8 @@ class Counts:
     noise_decreased: int = 0  # excluded samples with much less noise, or with a newly clipped axis
     spikes: int = 0  # isolated values that were replaced, counted per axis
     shocks: int = 0  # shocks whose samples were replaced
-    replaced: int = 0  # samples of shocks that were replaced by a line; they are in `used`
+    replaced: int = 0  # samples of shocks that were replaced by a line; also counted as used
+
     # reason -> number of times that the data were split
     splits: Counter[str] = field(default_factory=Counter)
 
@@ -160,7 +161,7 @@ class Longest(Generic[T]):
 
     def __init__(self, number: int) -> None:
         self._number = number
-        self._items: list[tuple[float, int, T]] = []  # (length, -start, item), shortest first
+        self._items: list[tuple[float, int, T]] = []  # (length, -start, item), the shortest first
 
     def add(self, length: float, item: T) -> None:
         """Add an item, and remove the shortest item if there are too many."""
@@ -181,27 +182,33 @@ class StreamHealth:
     state: State = 'waiting'
     rate_hz: float | None = None  # sample rate; None before it is learned
     bursty: bool = False  # whether stamps come in bursts
+
     # sample rate without missing samples, if samples are missing regularly; else None
     base_rate_hz: float | None = None
     first_ns: int | None = None  # first stamp with the current frame_id
     stamps: str = 'header'  # which stamps are used: 'header' or 'record'
     frame_id: str = ''  # frame_id of the latest sample
-    sums_frame_id: str = ''  # frame_id of the sums with the longest elapsed time
+    sums_frame_id: str = ''  # frame_id of the Allan sums with the longest elapsed time
     frame_changes: int = 0
     discarded: int = 0  # how often sums were discarded, because another noise floor was learned
+
     # axis -> largest ratio of its noise at rest to the noise floor; empty if no noise increased
     largest_increase: Mapping[str, float] = field(default_factory=dict)
     discarded_s: float = 0.0  # time in s from the first discarded sample to the first kept sample
+
     # axis with heavy tails -> share of its samples that are outliers
     outliers: Mapping[str, float] = field(default_factory=dict)
     events: tuple[Event, ...] = ()  # shocks, motions and changes of the noise
-    dropped_frames: int = 0  # number of frame_ids whose sums were discarded
+    dropped_frames: int = 0  # number of frame_ids whose Allan sums were discarded
+
     # axis -> smallest ratio of its noise to the noise floor; empty if no noise decreased
     largest_decrease: Mapping[str, float] = field(default_factory=dict)
-    stuck_axes: tuple[str, ...] = ()  # axes that have repeated one value
+    stuck_axes: tuple[str, ...] = ()  # axes that were stuck at one value
+
     # axis -> share of its samples at rest that are at the end of the measurement range
     clipped: Mapping[str, float] = field(default_factory=dict)
     faults: tuple[Finding, ...] = ()  # known faults of the latest samples
+
     # axis -> present standard deviation of its white noise; empty if it is not known
     noise: Mapping[str, float] = field(default_factory=dict)
 

@@ -109,9 +109,11 @@ class MotionGate:
         self._rest = RestFilter(self.size, self._period_s, axes, levels, events, counts.splits)
         self._ratios = NoiseRatios(len(axes))
         self._learning: list[ImuBatch] = []  # samples before the noise floor is known
+
         # samples after the last window whose look-ahead is complete
         self._pending = ImuBatch.empty(len(axes))
         self._before = self._pending.rows  # the last samples before `_pending`
+
         # the latest windows at the present noise level, at most `BLOCK_WINDOWS`
         self._recent = RecentWindows()
         self._former_noise: dict[str, float] = {}  # `noise` when the present level began
@@ -216,7 +218,7 @@ class MotionGate:
         return self._rest.take()
 
     def flush(self) -> list[ImuBatch]:
-        """Process all buffered samples at the end of the input, and return those at rest."""
+        """Process all buffered samples at the end of the input, and return the samples at rest."""
         if self._learning:
             self._learn()
         self._flush_pending()

@@ -100,12 +100,13 @@ INCREASE_SPREAD = 4.0
 
 INCREASE_SPECTRUM = 0.5
 """The von Neumann ratio of increased noise is at least this fraction of the ratio of the noise
-floor, or of white noise if that ratio is smaller. The ratio of a motion is smaller, because a
-motion has low frequencies."""
+floor or of white noise, whichever is smaller. A motion has a smaller ratio, because a motion has
+low frequencies."""
 
 TILT = 0.035
 """Largest angle in rad (2 degrees) between the directions of gravity at two times, relative to the
-sensor, for which the IMU counts as not tilted. It is also the relative change of the vector."""
+sensor, for which the IMU counts as not tilted. A tilt by this angle changes the vector of gravity
+by the same fraction of its magnitude."""
 
 
 LEAVE_RATIO = 0.8
@@ -205,14 +206,14 @@ def von_neumann_ratio(parts: Iterable[Floats]) -> Floats:
 
 
 class WindowClass(NamedTuple):
-    """Classification of k windows: arrays of flags, (k,) each."""
+    """Classification of k windows; each field is an array of flags, (k,)."""
 
-    moving: Flags  # not at rest: in motion, stuck, with less noise, or foreign
-    quiet: Flags  # below the limits at which a motion ends
+    moving: Flags  # the window is not at rest: in motion, stuck, decreased, or foreign
+    quiet: Flags  # the noise is below the limits at which a motion ends
     stuck: Flags  # an axis repeats one value
     decreased: Flags  # the noise of an axis is much smaller than the noise floor
     foreign: Flags  # the samples are not measurements in the units of the noise floor
-    rotating: Flags  # only the mean angular rate differs from the noise floor
+    rotating: Flags  # only the mean angular rate differs from a window at rest
 
 
 class Limits(NamedTuple):
@@ -239,10 +240,10 @@ class NoiseFloor:
     size: int
     gyro: Flags  # whether the axis belongs to the gyro
     settings: SegmenterSettings
-    variance: Floats  # variance in a window at rest, in the squared unit
+    variance: Floats  # variance in a window at rest, in the squared unit of the samples
     step: Floats  # standard deviation of the step between the means of neighboring windows
     mean: Floats  # mean of the samples at rest
-    lsb: Floats  # smallest change between two successive samples other than 0
+    lsb: Floats  # smallest difference, other than 0, between two successive samples
     ratio: Floats  # von Neumann ratio of the samples
     clipped: Floats  # share of the samples that are clipped, or 0 if below `MIN_CLIPPED`
     windows: Windows  # windows from which the noise floor was learned
@@ -321,7 +322,7 @@ class NoiseFloor:
             return self
         windows = rows.reshape(len(rows), -1, self.size)
         deviation = np.abs(windows - _quantile(windows, 0.5)[:, :, None]).reshape(len(rows), -1)
-        # plus half the resolution, because the deviations are rounded
+        # half the resolution is added, because the deviations are rounded
         limit = OUTLIER_MADS * (_quantile(deviation, 0.5) + 0.5 * self.lsb)
         outliers = np.count_nonzero(deviation > limit[:, None], axis=1)
         number = self.examined + deviation.shape[1]
@@ -428,11 +429,17 @@ class NoiseFloor:
         return gravity_unit(later.gravity) == 'm/s^2' != gravity_unit(self.gravity)
 
     def newly_clipped(self, rows: Floats) -> Flags:
-        """Return which axes, (axes,), are clipped in samples, (axes, n), but not at this floor."""
+        """Return which axes, (axes,), are clipped now, but were not when the floor was learned.
+
+        ``rows``, (axes, n), are the samples now.
+        """
         return np.asarray((self.clipped == 0.0) & (clipped_shares(rows) >= CLIPPED_SHARE))
 
     def has_clipping(self, rows: Floats) -> bool:
-        """Return whether the same axes as at this floor are clipped in samples, (axes, n)."""
+        """Return whether the same axes are clipped now as when the floor was learned.
+
+        ``rows``, (axes, n), are the samples now.
+        """
         if self.newly_clipped(rows).any():
             return False
         was_clipped = self.clipped > 0.0

@@ -139,7 +139,7 @@ class NoiseLevel:
         counts = replace(
             self.counts, used=0, shocks=0, replaced=0, splits=self.counts.splits.copy()
         )
-        if excluded in ('moving', 'stuck'):  # the noise seemed to decrease, as the motion ended
+        if excluded in ('moving', 'stuck'):  # the noise seemed to decrease when the motion ended
             counts.moving, counts.noise_decreased = counts.moving + counts.noise_decreased, 0
         setattr(counts, excluded, getattr(counts, excluded) + self.counts.used)
         return counts
@@ -159,11 +159,13 @@ class NoiseLevels:
         self.other: NoiseLevel | None = None
         self.is_tried = False
         self.change: Change = 'noise_increased'
-        self._began_ns = 0  # stamp at which the noise changed, if the present level is tried
+        self._began_ns = 0  # stamp at which the noise changed to the level that is only tried
+
         # how the samples of the other level are counted if its sums are not the result
         self._other_is: Excluded = 'moving'
         self._dropped = Counts()  # counts of the levels that were discarded
         self._drops = 0  # number of levels that were discarded after they were the result
+
         # stamp of the first sample of the first level; None until another level begins
         self._first_ns: int | None = None
         self._last_ns = 0  # last stamp of the most recently discarded level
@@ -231,7 +233,7 @@ class NoiseLevels:
         self._begin(floor)
 
     def resume(self) -> int | None:
-        """Continue the other level.
+        """Continue the other level, because its noise has returned.
 
         Returns the stamp in ns at which the noise changed, if the present level was only tried;
         else None.

@@ -346,7 +346,7 @@ class FrameStream:
         stamps = [each.stamps_ns for each in (*self._buffer, batch[:LEARN])]
         number_needed = learned_from(np.concatenate(stamps))
         number_taken = min((number_needed or LEARN) - self._buffered, len(batch))
-        self._buffer.append(batch[np.arange(number_taken)])  # an index array copies
+        self._buffer.append(batch[np.arange(number_taken)])  # an index array makes a copy
         if self._buffered == number_needed:
             self._learn()
         return batch[number_taken:]

@@ -77,7 +77,7 @@ class RecentWindows:
 
     @property
     def found(self) -> WindowClass:
-        """The class of each window."""
+        """The classification of all windows."""
         return WindowClass(*map(np.concatenate, zip(*(part.found for part in self._parts))))
 
     @property

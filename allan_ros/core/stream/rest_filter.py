@@ -48,6 +48,7 @@ class RestFilter:
         self._levels, self._events, self._splits = levels, events, splits
         self._level, self._last_mean = RestLevel(), np.full(len(axes), np.nan)
         self._cut = ''  # reason for the split before the next block at rest
+
         # the last window at rest, because a motion may follow, and the windows of a possible shock
         self._held: list[ImuBatch] = []
         self._out: list[ImuBatch] = []  # blocks that are confirmed to be at rest
@@ -71,11 +72,12 @@ class RestFilter:
     def add(
         self, block: ImuBatch, windows: Windows, size: int, only_at_rest: bool = False
     ) -> tuple[Flags, WindowClass] | None:
-        """Pass on or exclude k windows of ``size`` samples, and return their flags and class.
+        """Pass on or exclude k windows of ``size`` samples; return which are passed on as at rest.
 
-        The flags, (k,), tell which windows are at rest. ``block`` contains the samples of the
-        windows, and ``windows`` their statistics. With ``only_at_rest``, nothing happens and None
-        is returned if some of the windows are not at rest.
+        Returns flags, (k,), that are True for the windows at rest, and the classification of the
+        windows. ``block`` contains the samples of the windows, and ``windows`` their statistics.
+        With ``only_at_rest``, nothing happens and None is returned if some of the windows are not
+        at rest.
         """
         has_previous = np.isfinite(self._last_mean).all() and not block.cut
         floor, previous_mean = self.floor, self._last_mean if has_previous else None
@@ -150,7 +152,7 @@ class RestFilter:
             self._events.add(seconds, Event(motion.kind, motion.began_ns, seconds, changed))
 
     def _step(self, window: ImuBatch, mean: Floats, found: WindowClass) -> None:
-        """Update the state from one window and its class; pass on the window if it is at rest."""
+        """Update the state from one window and its flags; pass on the window if it is at rest."""
         if self.motion is None and not found.moving:
             self._release(window, mean[:, None], len(window))
             return

@@ -22,7 +22,7 @@ from ..imu import AXES, LARGEST, SENSORS, Flags, Floats, ImuBatch
 
 REPEATED_SHARE = 0.1
 """Smallest share of repeated or zero samples that indicates that a driver repeats the samples of a
-slower sensor, or fills them with zeros."""
+slower sensor, or fills in zeros."""
 
 LEAST_REPEATS, CHANCE_SHARE = 5, 0.15
 """A driver repeats samples if the first samples contain at least this number of separate sequences
@@ -150,7 +150,7 @@ class Clipping:
 
     def __init__(self, axes: int) -> None:
         self._chunk = np.empty((axes, CLIPPED_CHUNK))
-        self._filled = 0  # number of samples in the chunk
+        self._filled = 0  # number of samples in the present chunk
         self._clipped = np.zeros(axes)
         self.samples = 0
 

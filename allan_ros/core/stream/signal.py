@@ -72,8 +72,7 @@ class SignalEnvelope:
         """Return a copy with the accelerometer of another topic, in the bins of this envelope."""
         joined = deepcopy(self)
         accel = slice(len(AXES) // 2, None)
-        # all bins of the other topic between the starts of two bins are joined into the first of
-        # the two bins
+        # the bins of the other topic that cover the time of a bin are joined
         starts = np.searchsorted(other.start_ns[1:], self.start_ns).clip(max=other.bins - 1)
         starts[:1] = 0
         for name, join in BIN_STATISTICS.items():
@@ -160,7 +159,7 @@ class TemperatureTrace:
 
     source: str  # topic or column of the readings
     header_ns: NDArray[np.int64]  # (n,) times of measurement
-    record_ns: NDArray[np.int64]  # (n,) times of recording; header_ns if the source has no others
+    record_ns: NDArray[np.int64]  # (n,) times of recording; equal to header_ns if unknown
     celsius: Floats  # (n,) temperatures in degC
 
 
@@ -241,10 +240,13 @@ class SignalSummary:
     """Signals of all recordings, one directly after the other on a common time axis."""
 
     time_s: Floats  # (bins,) start of each bin in s since the first sample of the first recording
-    # (bins, 6) lowest sample in SI; NaN at the start of each further recording, or without a sensor
+
+    # (bins, 6) lowest sample in SI; NaN in the first bin of each recording after the first, and for
+    # a sensor without data
     low: Floats
     high: Floats  # (bins, 6) highest sample in SI; NaN where `low` is NaN
     mean: Floats  # (bins, 6) mean of the samples in SI
+
     # (bins, 6) standard deviation of the differences of successive samples / sqrt(2), in SI
     noise: Floats
     used: NDArray[np.bool_]  # (bins,) whether all samples of the bin are used

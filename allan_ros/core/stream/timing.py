@@ -93,7 +93,8 @@ PHASE_GAP = 16.0
 """Longest pause, in periods, after which the phase of the samples is assumed to continue."""
 
 PHASE_STEP = 0.25
-"""Difference between neighboring periods that are tried, as a phase in cycles over all stamps."""
+"""Step between the periods that are tried, as the phase change in cycles from the first to the last
+stamp."""
 
 
 @dataclass(frozen=True)
@@ -297,17 +298,19 @@ class SampleClock:
         self._counts = counts
         self._reach = 0  # `Clock.look_ahead` of the present clock
         self._samples = ImuBatch.empty(axes)  # samples that are buffered
+
         # number of buffered samples that are already processed, at most `_reach`
         self._processed = 0
         # steps of the sample index at the last processed samples (see `_process`)
         self._steps: Ints = np.empty(0, np.int64)
         self._blocks = 0  # number of processed blocks
+
         # whether the mean step of the last block differed from the period of the clock
         self._other_period = False
         # stamps since the last update of the period, or None after a gap; without jitter, only the
         # first and the last stamp of each batch
         self._tracked: list[Stamps] | None = None
-        self._tracked_steps = 0  # sum of the index steps between these stamps
+        self._tracked_steps = 0  # sum of the index steps between the tracked stamps
 
     @property
     def pending(self) -> ImuBatch:
@@ -341,7 +344,7 @@ class SampleClock:
         else:
             first_rows = self._samples.rows[:, :number]
             self.is_interleaved = not self._polled and are_interleaved(first_rows)
-            if self.is_interleaved:  # with jitter, the end of the second IMU is found sooner
+            if self.is_interleaved:  # assumed jitter reveals the end of the second IMU sooner
                 period_ns = self.clock.period_ns
                 self.clock = replace(self.clock, step_ns=period_ns, bursty=False, jitter=True)
             self.learned_ns, self._reach = self.clock.period_ns, self.clock.look_ahead
@@ -418,7 +421,8 @@ class SampleClock:
 
         ``step``, (n,), are the steps of the stamps in ns; ``steps``, (n,), the steps of the index.
         """
-        # without the samples from which the period was learned, else learning could repeat forever
+        # samples from which the period was learned are not tested; otherwise, learning could repeat
+        # forever
         first = max(0, self._learned - self._blocks * CLOCK_BLOCK)
         begins = np.arange(first, len(step) - CLOCK_BLOCK // 4 + 1, CLOCK_BLOCK)
         if not len(begins):
@@ -446,7 +450,7 @@ class SampleClock:
         return int(begins[block]) + int(np.argmax(is_unusual))
 
     def _count_lost(self, steps: Ints, clock: Clock) -> int:
-        """Return how many samples were lost in a pause, from the delays before and after it.
+        """Return how many samples were lost in a pause, from the delays before and after the pause.
 
         ``steps``, (j,), are the index steps of the next j samples; the pause follows them.
         """
@@ -475,7 +479,7 @@ class SampleClock:
         """
         n = len(steps)
         samples = self._samples.part(slice(begin, begin + n))
-        groups: list[list[ImuBatch]] = []  # for each block, the parts that are joined
+        groups: list[list[ImuBatch]] = []  # for each block, the parts that are joined to this block
         edges = sorted({0, *np.flatnonzero(steps != 1).tolist(), n})
         for first, last in itertools.pairwise(edges):
             cut = ''
@@ -521,7 +525,8 @@ class SampleClock:
         change = abs(period / clock.period_ns - 1.0)
         if clock.bursty:
             self.rate_changed = change > RATE_CHANGE_BURSTY
-            # a single pause changes the mean over the blocks as much as a real change of the period
+            # only a quarter of the change is applied, because a single pause changes the mean step
+            # over the blocks as much as a real change of the period
             period = clock.period_ns + 0.25 * (period - clock.period_ns)
         if not self.rate_changed:
             self.clock = replace(clock, period_ns=period)

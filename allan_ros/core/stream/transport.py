@@ -101,7 +101,8 @@ class Arrivals:
     def __init__(self, statistics: TransportStatistics) -> None:
         self._statistics = statistics
         self._origin_ns = self._lost = 0
-        self._latest: tuple[float, float] | None = None  # stamp and reception of the latest message
+        # stamp and time of reception, in s, of the latest message
+        self._latest: tuple[float, float] | None = None
         # time of reception, and stamp minus this time, of the messages within `ENVELOPE_S`
         self._offsets: deque[tuple[float, float]] = deque()
 
@@ -149,6 +150,7 @@ class ConstantAxes:
     def __init__(self) -> None:
         self._last = np.full(len(AXES), np.nan)
         self._run = np.zeros(len(AXES), np.int64)  # number of equal values up to the latest sample
+
         # number of equal values in the longest earlier run that was no fault
         self._longest = np.zeros(len(AXES), np.int64)
 
@@ -191,7 +193,8 @@ class TransportMonitor:
         self._topic = topic
         self._began = self._last_message = self._last_usable = time_s
         self._messages = self._usable = self._samples = 0
-        # (time in s, counts at this time) within `LATELY_S`; most keys are ids of findings
+        # (time in s, counts at this time) of the last `LATELY_S`; most keys of the counts are ids
+        # of findings
         self._history: deque[tuple[float, Counter[str]]] = deque()
         self._excused = 0  # number of observations for which a cause still explains missing samples
         self._unexplained = 0  # number of missing samples without a known cause
