@@ -47,11 +47,11 @@ FAMILY_ERROR = 0.05
 comparisons made at once."""
 
 TAU_RATIO = 4.0
-"""Ratio of successive averaging times at which deviations are compared. Deviations at closer
+"""Ratio of successive averaging times at which Allan deviations are compared. Deviations at closer
 averaging times are strongly correlated, so further comparisons would add little."""
 
 MIN_EDF = 3.0
-"""Smallest number of equivalent degrees of freedom of a deviation that is compared. If both
+"""Smallest number of equivalent degrees of freedom of an Allan deviation that is compared. If both
 deviations have 3 degrees of freedom, their ratio is significant only above about 10 when one axis
 is compared, and only above about 17 when six axes are compared."""
 

@@ -29,9 +29,9 @@ upper end of an interval that begins at 0, and the probability of missing the tr
 for both. Feldman & Cousins (Phys. Rev. D 57, 1998) unify intervals and limits in the same way."""
 
 RESOLVED_HALF_WIDTHS = 2.58 / Z_95
-"""Least magnitude of a number that can be negative, in half widths of its 95 % interval, for the
-number to be resolved: false alarms of 1 % (two-sided). Measured for R: 1.0 % of 900 axes without
-R."""
+"""A number that may be negative is resolved if its magnitude is at least this multiple of half the
+width of its 95 % interval: false alarms of 1 % (two-sided). Measured for R: 1.0 % of 900 axes
+without R."""
 
 NOTHING_KNOWN = '-'
 """Text for a number with neither a value nor a limit."""

@@ -144,7 +144,7 @@ MINOR: dict[str, Callable[[Mapping[str, Any]], bool]] = {
     'lack_of_fit': lambda values: abs(values['deviation']) < 0.05,
     'tilted': lambda values: values['angle'] < 1.0,
 }
-"""Id -> function of the values of a finding, which returns whether these values are too small to
+"""Id of a finding -> function that returns whether the values of the finding are too small to
 affect a state estimator. Such a finding has the severity info. The angle of a tilt is in deg."""
 
 

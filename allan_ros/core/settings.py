@@ -82,7 +82,7 @@ EXPECTED: dict[Any, str] = {
     LIST: 'a list',
 }
 """Type of a setting -> name of this type in messages. The type of a setting is the first type in
-this dict of which its default is an instance."""
+this dict of which the default of the setting is an instance."""
 
 
 def expect(kind: Any, called: str = '', /, **values: object) -> None:

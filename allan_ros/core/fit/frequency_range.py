@@ -216,7 +216,7 @@ def _estimate(rules: Selection) -> SelectedModel:
 
 
 def _down_weighted(rules: Selection, fit: Fit) -> tuple[Selection, Fit, dict[int, float]]:
-    """Return a selection with less weight on octaves that differ from the model, and its fit.
+    """Return a selection with less weight on octaves that differ from the model, and the new fit.
 
     The third result is octave -> measured over modeled power, for the octaves that differ.
     """

@@ -111,8 +111,8 @@ LEAST_POINTS = 6
 """Fewest points of a curve: one more than there are terms."""
 
 RESOLVED = 2.33
-"""Least ratio of a squared coefficient to its standard error for the coefficient to be resolved:
-false alarms of 1 % (one-sided)."""
+"""A coefficient is resolved if its square is at least this multiple of the standard error of the
+square: false alarms of 1 % (one-sided)."""
 
 
 def fit_curve(tau: ArrayLike, adev: ArrayLike, record: float | None = None) -> AxisFit:

@@ -53,7 +53,7 @@ def fit_noise(sums: AllanSums, method: str = 'likelihood') -> NoiseModel:
         raise AllanError(f'fit method {method!r} is unknown: choose one of {", ".join(METHODS)}')
     if method == 'likelihood':
         return fit_likelihood(sums)
-    from .least_squares import fit_paper  # imported here, because it is rarely used
+    from .least_squares import fit_paper  # imported here, because the method is rarely used
 
     return fit_paper(sums)
 

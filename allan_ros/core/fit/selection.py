@@ -308,7 +308,7 @@ class Selection:
         return best if fit.value - best.value > threshold else fit
 
     def weighed(self, fit: Fit) -> tuple[Selection, Fit]:
-        """Return the selection with less weight on bins that contain sinusoids, and its new fit.
+        """Return the selection with less weight on bins that contain sinusoids, and the new fit.
 
         A real sinusoid is never as narrow as in the model, so that a bin in which a sinusoid
         dominates determines only the amplitude. Bins that may contain the alias of a sinusoid get

@@ -62,9 +62,9 @@ USUAL_N = 3e-4
 nearest to this value is the most probable unit."""
 
 UNIT_ERROR, LARGEST_ACCEL_RATIO = 0.2, 3.0
-"""The unit of the gyro has changed if the ratio of its noise now to its noise before agrees with
-the conversion factor of another unit within the first relative error, and the ratio of the
-accelerometer is at most the second number."""
+"""The unit of the gyro has changed if the ratio of the gyro noise now to the gyro noise before
+agrees with the conversion factor of another unit within the first relative error, and the same
+ratio of the accelerometer noise is at most the second number."""
 
 NO_AXES = np.zeros(0)
 

@@ -17,7 +17,8 @@ from .sensors import zeros_and_repeats
 
 STEADY_CHANGE = 0.1
 """A mean acceleration is compared with gravity if the steps between the means of neighboring
-windows, and the standard deviation in the windows, are at most this fraction of its magnitude."""
+windows, and the standard deviation in the windows, are at most this fraction of the magnitude of
+the mean acceleration."""
 
 LARGER_NOISE = 1.3
 """The noise is reported as larger if its standard deviation now exceeds the Allan deviation at one

@@ -181,7 +181,7 @@ class RestFilter:
             self._end_motion(motion)
 
     def _end_motion(self, motion: Motion) -> None:
-        """End a motion: pass on its windows with replaced samples after a shock, else split."""
+        """End a motion: replace the samples of a shock and pass them on, or else split the data."""
         shock_blocks = motion.replaced(self._held, self.floor, self._period_s)
         if shock_blocks:
             motion.kind = 'shock'

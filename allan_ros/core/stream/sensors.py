@@ -31,8 +31,8 @@ the share of repeats."""
 
 REGULAR_REPEATS, LARGEST_RANDOM_SHARE = 0.03, 0.6
 """Limits of the share of repeats among all samples. Below the first limit, the repeats are regarded
-as random, because they are too few to decide. Above the second limit, they are attributed to a
-slower sensor."""
+as random, because there are too few to decide. Above the second limit, the repeats are attributed
+to a slower sensor."""
 
 REGULAR_VARIANCE, REGULAR_VARIANCE_RATIO = 0.5, 0.01
 """Repeats are regular if the variance of their cumulative number about a straight line is less than

@@ -105,7 +105,7 @@ class SignalEnvelope:
 
     @property
     def time_s(self) -> NDArray[np.float64]:
-        """Start of each bin, (bins,), in s since the first sample; it never decreases."""
+        """Start of each bin, (bins,), in s since the first sample; the starts never decrease."""
         stamps = self.start_ns.astype(float)  # int64 may overflow when subtracted
         return np.asarray(np.maximum.accumulate((stamps - stamps[:1]) * 1e-9), float)
 

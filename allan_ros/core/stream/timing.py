@@ -79,8 +79,8 @@ fraction."""
 
 MANY, EXACT = 0.2, 0.15
 """Samples are missing regularly if at least the first share of the steps is one sample period, and
-at least the same share is a larger multiple of it. The steps may deviate from the multiples by at
-most the second fraction of a period."""
+at least the same share is a larger multiple of the period. The steps may deviate from the
+multiples by at most the second fraction of a period."""
 
 JITTER_SHARE = 0.01
 """Stamps have jitter if more than this share of the steps is shorter than half the period."""
@@ -99,7 +99,7 @@ stamp."""
 
 @dataclass(frozen=True)
 class Clock:
-    """Sample period of a stream, median step between its stamps, and their quality.
+    """Sample period of a stream, median step between its stamps, and quality of the stamps.
 
     Stamps are ``bursty`` if many of them are almost equal. They have ``jitter`` if they scatter
     so much that the loss of a single sample may look like scatter.

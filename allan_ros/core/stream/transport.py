@@ -38,7 +38,8 @@ REPORTED_LOST_SHARE = 1e-3
 """Smallest share of messages lost in transport that is reported."""
 
 PRESENT_S = 3.0
-"""An event is a present fault for this time in s after its last occurrence, then a past event."""
+"""An event is reported as a present fault until this time in s after its last occurrence, and as a
+past event afterwards."""
 
 STEP_S = 0.2
 """Smallest step in s of the clock of the stamps that is reported."""
