@@ -44,10 +44,10 @@ WHITE_NOISE = 3.0
 that passes its tests. The rate of false alarms that is stated at `CURVATURE` includes this test."""
 
 LOST_POWER = 0.8, 0.5
-"""Least power in the highest octave of a fit, relative to the power two octaves lower, for which a
-fit of a filtered axis is tried. The first number is for a fit of all frequencies, the second for a
-fit without the highest octave of the data. Without this condition, several processes may imitate
-the filter, and the fit takes up to four times as long."""
+"""A fit of a low-pass filtered axis is tried only if the power in the highest octave of the fit,
+relative to the power two octaves lower, is at least this number. The first number is for a fit of
+all frequencies, the second for a fit without the highest octaves of the data. Without this
+condition, several processes may imitate the filter, and the fit takes up to four times as long."""
 
 HIGHEST = 0.375
 """Frequency in cycles per sample above which a low-pass filter removes most power."""

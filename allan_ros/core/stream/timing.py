@@ -216,7 +216,7 @@ def _clock_of(step: Floats, stamps: Stamps, polled: bool, declared: float) -> Cl
     used for bursty stamps.
     """
     size = max(1, min(CLOCK_BLOCK, len(step) // 4))
-    # a median of means over groups, which one long gap does not change
+    # one long gap does not change the median of the means over groups of steps
     mean = float(np.median(step[: len(step) // size * size].reshape(-1, size).mean(axis=1)))
     mean = mean or float(step.mean())
     median = float(np.median(step))
