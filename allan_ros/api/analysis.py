@@ -113,7 +113,7 @@ def is_document(path: str | os.PathLike[str]) -> bool:
 
 
 @public
-@one_thread()  # Allan sums and spectra are computed in one thread, too, not only the fit
+@one_thread()  # not only the fit, but also Allan sums and spectra are computed in one thread
 def analyze(
     source: Any,
     *,

@@ -137,7 +137,10 @@ def recordings_in(path: str, files_are_units: bool = False) -> list[str]:
 
 
 def _is_one_bag(files: Sequence[Path], files_are_units: bool) -> bool:
-    """Return whether the files are parts of one bag without metadata.yaml; True for no files."""
+    """Return whether the files are all parts of one bag without metadata.yaml.
+
+    Returns True if there are no files.
+    """
     if not all(file.suffix in STORAGES for file in files):
         return False
     if files_are_units or len(files) < 2:

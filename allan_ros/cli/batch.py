@@ -113,7 +113,7 @@ class Judge:
         return Judged(outcome, decision, word, sentences, check, note)
 
     def _note(self, name: str, results: Results) -> str:
-        """Return which earlier unit has the same samples or serial number, as text; '' if none.
+        """Return a text that names an earlier unit with the same samples or serial number, or ''.
 
         Samples count as the same if their number and all coefficients are equal. Samples are not
         compared if no coefficient has a value.

@@ -259,7 +259,7 @@ class FilterNoise:
                 reduction = self.reduction(name, 'processes')
                 model, walk_levels[name] = reduction.model, reduction.levels['K']
             pair = closest_process(model, GaussMarkov, self.horizon, tau, self.target.bound)
-            assert pair is not None  # because the model has drift
+            assert pair is not None  # a process is found for every model with drift
             sigmas_and_taus.append(pair)
         taus = [pair[1] for pair in sigmas_and_taus]
         if key.what == 'tau':

@@ -183,10 +183,10 @@ def _numbers(text_without_comments: str, key: Key) -> list[float]:
             f'your file {problem} of {name}: give the file of the filter that --to names, '
             'with one IMU'
         )
-    least = 0.0 if key.what == 'K' else SMALLEST_STD
-    if not all(least <= value <= LARGEST_STD for value in numbers[0]):
+    smallest = 0.0 if key.what == 'K' else SMALLEST_STD
+    if not all(smallest <= value <= LARGEST_STD for value in numbers[0]):
         raise AllanError(
-            f'{name} of your file is {value_texts[0]}: give a number from {least:g} to '
+            f'{name} of your file is {value_texts[0]}: give a number from {smallest:g} to '
             f'{LARGEST_STD:g}'
         )
     return numbers[0]

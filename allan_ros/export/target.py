@@ -240,7 +240,8 @@ class Target:
     notes: tuple[str, ...] = ()
     # yields the rows of a file that is too complex for a table, given a `FilterNoise`
     rows: Callable[[Any], Iterable[Row]] | None = None
-    three: bool = False  # whether the file has three numbers, x, y and z; else one, the largest
+    # whether the file has numbers for x, y and z; if False, it has the largest of the three numbers
+    three: bool = False
     rate_hz: float | None = None  # fixed rate of the estimator in Hz; None if it is the sample rate
     # default of `ExportOptions.horizon` in s
     horizon_s: float = HORIZON_S

@@ -203,15 +203,15 @@ class ImuWatch(NodePart):
         self._received = self._input.received
         if self._outdated:
             health, findings = self._stream.present_health(self._result.sums)
-            before, self._events = self._events, _events(health)
-            if has_new_messages and self._events == before:
+            former_events, self._events = self._events, _events(health)
+            if has_new_messages and self._events == former_events:
                 return health, findings
             total = self._total()
             if replaced_share(self.output.sums, total[0]) > REPLACED_SHARE:
                 self._publish(total)
         return self._result.health, self._result.findings
 
-    # --- samples in -------------------------------------------------------------------------------
+    # --- input of samples -------------------------------------------------------------------------
 
     def _begin(self, covered: Sequence[tuple[int, int]] = ()) -> None:
         """Start new sums; ``covered`` are (first, last) stamps in ns of data in the checkpoint.
@@ -250,7 +250,7 @@ class ImuWatch(NodePart):
         self._last_stamp_ns = int(batch.stamps_ns[-1])
         self._latest_ns = max(self._latest_ns or 0, int(batch.stamps_ns.max()))
 
-    # --- sums out ---------------------------------------------------------------------------------
+    # --- output of Allan sums ---------------------------------------------------------------------
 
     def _total(self) -> Total:
         """Return sums and provenance of all samples, also from earlier runs of the node."""

@@ -275,15 +275,15 @@ def axis_status(name: str, hardware_id: str, view: AxisView) -> DiagnosticStatus
 
 def _term_pairs(axis: str, term: str, c: Estimate) -> list[tuple[str, object]]:
     """Return the pairs for a term: value in SI and datasheet units, 95 % interval, and status."""
-    si, shown = shown_unit(axis, term, 'SI'), shown_unit(axis, term, 'deg/h')
+    si_unit, datasheet_unit = shown_unit(axis, term, 'SI'), shown_unit(axis, term, 'deg/h')
     pairs: list[tuple[str, object]] = [
-        (f'{term} [{u.name}]', value_text(c, u)) for u in (si, shown)
+        (f'{term} [{u.name}]', value_text(c, u)) for u in (si_unit, datasheet_unit)
     ]
     low, high = c.ci95 if c.status == 'estimated' and c.ci95 else (None, c.upper95)
     for end, value in (('low', low), ('high', high)):
         if value is not None and math.isfinite(value):
-            text = significant(value * shown.factor, LIMIT_DIGITS)
-            pairs.append((f'{term} {end} [{shown.name}]', text))
+            text = significant(value * datasheet_unit.factor, LIMIT_DIGITS)
+            pairs.append((f'{term} {end} [{datasheet_unit.name}]', text))
     return [*pairs, (f'{term} verdict', c.status.replace('_', ' '))]
 
 
@@ -300,23 +300,23 @@ def _change_findings(view: AxisView) -> list[Finding]:
     if step is None or not step.beyond(view.margin):
         return []
     quantity_name: str = _dominant_term(view, step.tau)
-    before, tau = step.coefficient_before(quantity_name), None
+    former_value, tau = step.coefficient_before(quantity_name), None
     sensor_and_term = sensor_of(view.axis), quantity_name
-    if before is None:
-        before, quantity_name, tau = step.before, 'the Allan deviation', step.tau
+    if former_value is None:
+        former_value, quantity_name, tau = step.before, 'the Allan deviation', step.tau
         sensor_and_term = sensor_of(view.axis), 'B'
     low, high = step.ci95
-    changed = finding(
+    change = finding(
         'noise_fell' if step.ratio < 1.0 else 'noise_changed',
         what=quantity_name,
         tau=tau,
-        before=quantity(before, *sensor_and_term),
-        after=quantity(before * step.ratio, *sensor_and_term),
+        before=quantity(former_value, *sensor_and_term),
+        after=quantity(former_value * step.ratio, *sensor_and_term),
         ago=step.since_s,
         low=low,
         high=high,
     )
-    return [changed]
+    return [change]
 
 
 def _dominant_term(view: AxisView, tau: float) -> str:
@@ -353,8 +353,8 @@ def _next_term(view: AxisView) -> str:
         return ''  # the required time is predicted only for the method likelihood
     limits = {c.quantity: c.limit for c in view.comparisons if c.tau is None}
     recordings = view.sums.recordings if view.sums else ()
-    longest = max((m.samples for r in recordings for m in r.means), default=0)
-    longest_segment_s = longest * view.result.tau0
+    most_samples = max((m.samples for r in recordings for m in r.means), default=0)
+    longest_segment_s = most_samples * view.result.tau0
     advice = recommended_duration(view.result.fit, longest_segment_s, limits)
     if advice is None:
         return ''

@@ -57,11 +57,12 @@ from .node_settings import EstimatorSettings, home_of
 from .shell import LATCHED, Worker
 
 FIT_SHARE = 0.05
-"""Largest share of one CPU core that fits use. It determines the pause after a fit, up to
-`LONGEST_WAIT_S`."""
+"""Largest share of one CPU core that may be used for fits. The share determines the pause after a
+fit, which lasts at most `LONGEST_WAIT_S`."""
 
 LONGEST_WAIT_S = 20.0
-"""Longest pause in s after a fit, even if fits then use more than `FIT_SHARE` of a CPU core."""
+"""Longest pause in s after a fit. After a slow fit, this pause is kept, although fits then use more
+than `FIT_SHARE` of a CPU core."""
 
 STALE_PERIODS = 3.0
 """Allan sums are reported as missing if none arrive for this number of publishing periods."""
@@ -237,10 +238,10 @@ class ImuEstimate(NodePart):
 
         Fewer than `LEAST_DRIVES` drives do not count as new.
         """
-        latest, before = (
+        starts, former_starts = (
             [each.start for each in errors] for errors in (drives.errors, self._driven)
         )
-        return len(latest) >= LEAST_DRIVES and latest != before
+        return len(starts) >= LEAST_DRIVES and starts != former_starts
 
     def _start(self, total: Total, drives: Drives) -> None:
         self._fitted, self._outdated, self._driven = total[0], False, drives.errors
@@ -263,8 +264,10 @@ class ImuEstimate(NodePart):
             return
         self._invalidated = finding('model_invalidated', lost=lost, cause=cause)
         self._node.get_logger().warning(str(self._invalidated))
-        empty = replace(results, axes={}, samples=0, duration_s=0.0, segments=0, datasheet=None)
-        self._publish(replace(empty, findings=(self._invalidated,)))
+        without_axes = replace(
+            results, axes={}, samples=0, duration_s=0.0, segments=0, datasheet=None
+        )
+        self._publish(replace(without_axes, findings=(self._invalidated,)))
 
     def _publish(self, results: Results) -> None:
         self._bias.set_results(results if results.axes else None)

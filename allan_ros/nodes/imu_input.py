@@ -237,7 +237,7 @@ class ImuInput:
         if not self._has_one_publisher and b'' in self._last_number:
             self._last_number[b''] = None
         handle, buffer = self._subscription.handle, self._buffer
-        before = len(buffer.received_ns)
+        former_length = len(buffer.received_ns)
         with handle:
             for _ in range(QUEUE_DEPTH):  # a fast publisher must not block the node
                 if buffer.size >= BUFFER_BYTES:
@@ -249,7 +249,7 @@ class ImuInput:
         # The times of reception are from the system clock, which may have been set since the last
         # call. They are therefore limited to the time since the last call.
         now_s = steady_s()
-        received_s = np.array(buffer.received_ns[before:], np.int64) / NANOSECONDS
+        received_s = np.array(buffer.received_ns[former_length:], np.int64) / NANOSECONDS
         arrived_s = np.clip(received_s - (time.time() - now_s), self._drained_s, now_s)
         buffer.arrived_s += arrived_s.tolist()
         self._drained_s = now_s
@@ -361,11 +361,11 @@ class ImuInput:
         publisher = b'' if gid is None else gid['data']
         if publisher not in self._last_number:
             buffer.sent_before += number - FIRST_NUMBER
-        before = self._last_number.get(publisher)
+        last_number = self._last_number.get(publisher)
         self._last_number[publisher] = number
         # Before Kilted, messages of two publishers cannot be distinguished.
-        if before is not None and (gid is not None or self._has_one_publisher):
-            buffer.skipped_numbers += max(0, number - before - 1)
+        if last_number is not None and (gid is not None or self._has_one_publisher):
+            buffer.skipped_numbers += max(0, number - last_number - 1)
 
 
 def steady_s() -> float:

@@ -90,7 +90,10 @@ class Snapshot:
         )
 
     def to_document(self) -> dict[str, Any]:
-        """Return the JSON object of a sums file, with the connected IMU, means and faults."""
+        """Return the JSON object of a sums file with three more keys: imu, means and faults.
+
+        The key ``imu`` describes the connected IMU.
+        """
         imu = {'frame_id': self.frame_id, 'hardware_id': self.hardware_id, 'axes': [*self.axes]}
         means = [
             {

@@ -425,7 +425,7 @@ class ParameterPush(NodePart):
         return {name: held.found for name, held in self._held.items() if held.found}
 
     def _restoring(self, reason: str) -> Requests:
-        """Restore the values from before they were set, unless someone else has changed them."""
+        """Restore the former value of each parameter that no other program has changed."""
         found, former_values = self._found(), {}
         answers = yield self._read([*found])
         for name, answer in zip(found, answers):
@@ -433,7 +433,7 @@ class ParameterPush(NodePart):
             held = self._held[name]
             if values in held.sent:
                 former_values[name] = found[name]
-            # nothing is to be restored, for example after a restart of the other node
+            # there is nothing to restore, for example after a restart of the other node
             elif values in (None, held.found) or self._was_killed:
                 del self._held[name]
             else:

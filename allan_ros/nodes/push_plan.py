@@ -121,17 +121,17 @@ class Proposal:
         """Return why this value must not replace the found value; '' if replacing is allowed."""
         if len(found) != len(self.values):
             return f'has {len(found)} numbers in the node, but the model gives {len(self.values)}'
-        for value, before in zip(self.values, found):
-            if not (0.0 < before < math.inf and 0.0 < value < math.inf):
+        for value, present in zip(self.values, found):
+            if not (0.0 < present < math.inf and 0.0 < value < math.inf):
                 return (
-                    f'is {before:.4g} in the node and is not changed; the model gives {value:.4g}'
+                    f'is {present:.4g} in the node and is not changed; the model gives {value:.4g}'
                 )
-            if not 1.0 / factor <= value / before <= factor:
-                larger, smaller = max(value, before), min(value, before)
+            if not 1.0 / factor <= value / present <= factor:
+                larger, smaller = max(value, present), min(value, present)
                 return (
                     f'{value:.4g} is {larger / smaller:.3g} times '
-                    f'{"above" if value > before else "below"} the {before:.4g} that was found, so '
-                    'it is not set: check the filter, or raise push.max_factor'
+                    f'{"above" if value > present else "below"} the {present:.4g} that was found, '
+                    'so it is not set: check the filter, or raise push.max_factor'
                 )
         return ''
 

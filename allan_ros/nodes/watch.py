@@ -46,8 +46,8 @@ OWN_TOPICS = ('sums', 'noise_model')
 """Topics below the name of a node by which the node is recognized as an allan_ros node."""
 
 PATIENCE_S, NOBODY_S = 10.0, 6.5
-"""Times in s for which ``--once`` waits for the first status: the first time if a node publishes on
-`TOPIC`, the second time if no such node was discovered. Fast DDS announces a process every 3 s, and
+"""Times in s for which ``--once`` waits for the first status: `PATIENCE_S` if a node publishes on
+`TOPIC`, `NOBODY_S` if no such node was discovered. Fast DDS announces a process every 3 s, and
 a busy computer may lose one announcement."""
 
 HINT_S = 8.0

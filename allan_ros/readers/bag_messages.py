@@ -180,19 +180,19 @@ def decompress_file(source: Path, compression: str, target: Path) -> None:
     with (
         translated(source, (Exception,), remedy),  # each library raises its own exceptions
         open_regular(source) as file,
-        target.open('wb') as out,
+        target.open('wb') as target_file,
     ):
         limit = os.fstat(file.fileno()).st_size * MAX_FILE_RATIO + MAX_CHUNK_BYTES
         # the longest zstd header has 18 bytes (RFC 8878, 3.1.1)
         stated = _stated_size(file.read(18), compression)
         file.seek(0)
-        plain = _expanding(file, compression)
+        content = _expanding(file, compression)
         size = 0
-        while data := plain.read(1 << 20):
+        while data := content.read(1 << 20):
             size += len(data)
             if size > limit:
                 raise ValueError(f'it expands more than {MAX_FILE_RATIO} times')
-            out.write(data)
+            target_file.write(data)
         if size < max(stated, 1):
             raise ValueError(f'the {compression} data end early')
 

@@ -263,10 +263,10 @@ def _distinct(names: NDArray[np.void]) -> tuple[list[bytes], NDArray[np.intp]]:
     """Return the distinct byte strings of an array, and for each item the index of its string."""
     if not names.itemsize:
         return [b''], np.zeros(len(names), np.intp)
-    size, flat = names.itemsize, names.copy().view(np.uint8)
-    if (flat[size:] == flat[: len(flat) - size]).all():
-        return [flat[:size].tobytes()], np.zeros(len(names), np.intp)
-    distinct, indices = np.unique(flat.reshape(-1, size), axis=0, return_inverse=True)
+    size, all_bytes = names.itemsize, names.copy().view(np.uint8)
+    if (all_bytes[size:] == all_bytes[: len(all_bytes) - size]).all():
+        return [all_bytes[:size].tobytes()], np.zeros(len(names), np.intp)
+    distinct, indices = np.unique(all_bytes.reshape(-1, size), axis=0, return_inverse=True)
     # reshaped, because the indices are a column in numpy 2.0
     return [name.tobytes() for name in distinct], indices.reshape(-1)
 

@@ -115,13 +115,15 @@ class ColumnLayout:
     """Which columns of a table contain samples, times and temperature."""
 
     axes: dict[int, tuple[int, float]]  # index of the axis in `AXES` -> column, factor to SI
-    stamp: tuple[tuple[int, int], ...]  # (column, factor to ns); their sum is the stamp
-    record: tuple[tuple[int, int], ...]  # (column, factor to ns); their sum is the record time
+    # (column, factor to ns) of each column of times; the stamp is the sum of these columns in ns
+    stamp: tuple[tuple[int, int], ...]
+    record: tuple[tuple[int, int], ...]  # the same for the record time
     temperature: tuple[int, str] | None  # column of the temperature, unit ('' if not stated)
     units: dict[str, str]  # sensor -> unit of its columns
     assumed: dict[str, str]  # sensor -> name of a column for which SI is assumed
-    time_unit: str = ''  # unit of the stamps, if it is doubtful because increments determine it
-    unclear_time: str = ''  # text in place of a unit in the name of the time column, if unknown
+    # unit of the stamps if it was inferred from their increments, and may be wrong; else ''
+    time_unit: str = ''
+    unclear_time: str = ''  # unknown unit in the name of the time column; '' if there is none
     unrecognized: tuple[str, ...] = ()  # names of columns without a known meaning
 
     @property
@@ -402,7 +404,7 @@ def _meaning(name: str) -> Meaning:
     """
     text, bracket = _base_and_unit(name)
     base = re.sub(r'[^a-z0-9]+', '_', text).strip('_')
-    # names in tables written by this package and in ROS messages, which are in SI
+    # tables of this package and ROS messages have these names, and values in SI
     is_si = base in AXES or 'angular_velocity' in base or 'linear_acceleration' in base
     bracket_unit = unit_named(bracket, SAMPLE_SPELLINGS)
     sensor = next((s for s in SENSORS if bracket_unit in SAMPLE_UNITS[s]), '')

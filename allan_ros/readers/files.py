@@ -175,7 +175,7 @@ def write_together(
         finally:
             for draft in drafts.values():
                 draft.unlink(missing_ok=True)
-        if os.name == 'posix':  # so that the new names survive a power failure
+        if os.name == 'posix':  # sync the folder, so that the new names survive a power failure
             handle = os.open(folder, os.O_RDONLY)
             try:
                 os.fsync(handle)

@@ -306,8 +306,8 @@ class McapStorage:
                 first, _, _, _ = CHUNK_HEAD.unpack(self._read(start, CHUNK_HEAD.size))
                 self._chunks.append(Chunk(first, start, length, end))
                 data = self._data(self._chunks[-1])
-                for inner, inner_at, inner_end in records(data):
-                    self._contents.add(inner, data, inner_at, inner_end)
+                for data_opcode, data_start, data_end in records(data):
+                    self._contents.add(data_opcode, data, data_start, data_end)
             elif opcode == MESSAGE:
                 data = self._read(start, MESSAGE_HEAD.size)
                 self._contents.add(opcode, data, 0, len(data))

@@ -92,8 +92,8 @@ class RecordingSums:
     name: str  # path of the first recording
     sums: tuple[AllanSums, ...]  # one for all axes, or one for each sensor if the rates differ
     provenance: Provenance = field(default_factory=Provenance)
-    signals: tuple[SignalEnvelope, ...] = ()  # one per recording
-    # one per recording; None for a recording without temperature
+    signals: tuple[SignalEnvelope, ...] = ()  # signal of each recording
+    # temperature over time of each recording; None for a recording without temperature
     temperatures: tuple[TemperatureTrace | None, ...] = ()
     events: tuple[Event, ...] = ()  # shocks, motions and changes of the noise
     drives: Drives = NO_DRIVES  # motions between two rests
@@ -383,7 +383,7 @@ def read_in_processes(
                 progress.advance(recorded.provenance.counts.received)
                 yield recorded
     except KeyboardInterrupt:
-        for child in active_children():  # safe, because no task writes files
+        for child in active_children():  # no file is left incomplete, because no task writes files
             child.terminate()
         raise
     except BrokenProcessPool as error:

@@ -93,7 +93,7 @@ def imu_topics(path: Path) -> list[str]:
     for file in bag.files if bag.described is None else ():
         topics = bag.storage(file).topics
         imu_keys |= {(t.name, t.type): None for t in topics if t.type == IMU_TYPE}
-    # with one topic, messages are not counted: this would read an sqlite3 file completely
+    # messages are counted only if necessary, because counting reads an sqlite3 file completely
     imus = [*imu_keys] if len(imu_keys) == 1 else survey_bag(bag).imus()
     bag.close()
     return [name for name, _ in imus] if len(imus) <= MAX_TOPICS else []
@@ -403,7 +403,7 @@ def _temperature(
     Returns None if the message is damaged.
     """
     with suppress(MalformedMessage, ValueError):
-        plain = decompress(payload, frame_compression(payload), MAX_MESSAGE_BYTES)
-        header_ns, frame_id, celsius = decode_temperature(plain, _encoding(topic))
+        decompressed = decompress(payload, frame_compression(payload), MAX_MESSAGE_BYTES)
+        header_ns, frame_id, celsius = decode_temperature(decompressed, _encoding(topic))
         return (header_ns, record_ns, celsius), frame_id
     return None

@@ -175,7 +175,7 @@ class Checkpoint:
                 return previous
             except AllanError as error:
                 self._report_unwritable(error)
-        if self._content is not None:  # the file stays where it is
+        if self._content is not None:  # the file was not renamed, so its sums are kept
             self.earlier = self._content
         return ''
 

@@ -82,8 +82,8 @@ SCALES: Mapping[str, Mapping[str, float]] = {
     'degC': {'degC': 1.0},
     '': {'': 1.0, '%': 0.01},
 }
-"""Unit of a quantity that is not in `UNITS` -> unit that a plan may state -> factor from the stated
-unit to the unit of the quantity."""
+"""Unit of a quantity -> unit that a plan may state -> factor from the stated unit to the unit of
+the quantity. Units in `UNITS` are not repeated here."""
 
 ABOUT_THE_DATA = ('duration', 'used', 'temperature')
 """Quantities of the recording, not of the IMU. If one exceeds its limits, the IMU is not judged."""

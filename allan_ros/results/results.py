@@ -164,7 +164,7 @@ class Results:
 
     @property
     def is_decided(self) -> bool:
-        """Whether N is within all its limits or, if N has no limit, whether all compared terms are.
+        """Whether N or, if N has no limit, every compared term is within all its limits.
 
         If N has a limit, the other terms are ignored, because they often need a longer recording.
         """

@@ -105,9 +105,10 @@ def _checks_table(
 def runs_table(comparison: RunComparison, axes: Sequence[str], units: str) -> Table:
     """Return a table that compares the coefficients of several recordings, for one sensor.
 
-    Each term has a row for each recording, and rows with the ratios of the other recordings to the
-    first recording. Terms that no recording measures are omitted. The last rows state at how many
-    averaging times the Allan deviations of a recording and of the first recording differ.
+    Each term has a row for each recording, and further rows with the coefficients of the other
+    recordings divided by the coefficients of the first recording. Terms that no recording measures
+    are omitted. The last rows state at how many averaging times the Allan deviations of a recording
+    and of the first recording differ.
     """
     sensor = sensor_of(axes[0])
     rows: list[tuple[Heading, list[Cell]]] = []
@@ -182,7 +183,7 @@ def inflation_table(inflation: Inflation) -> Table:
 
 
 def deviation_ratio_table(inflation: Inflation) -> Table:
-    """Return a table of the ratios of the Allan deviations with motors on to those with motors off.
+    """Return a table of the Allan deviations with motors on, divided by those with motors off.
 
     There is a row for each axis and a column for each averaging time.
     """

@@ -93,7 +93,10 @@ def finding_line(finding: Finding, units: str = 'deg/h') -> str:
 
 
 def finding_document(finding: Finding, units: str = 'deg/h') -> dict[str, Any]:
-    """Return a finding as a JSON object: its texts, and its values in SI."""
+    """Return a finding as a JSON object.
+
+    Its texts use ``units``, which is 'deg/h' or 'SI'. Its values are always in SI.
+    """
     return {**finding.document(), **texts_of(finding, units)._asdict()}
 
 

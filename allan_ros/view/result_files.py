@@ -64,7 +64,7 @@ def write_result_files(
     if recorded is None:
         raise AllanError('these results were read from a file without their sums: analyze again')
     folder = Path(folder)
-    _files_in(folder, results, overwrite)  # raise errors before the report is made
+    _files_in(folder, results, overwrite)  # checks the folder before the report is made
     target_files, results = _filter_files(results, targets)
     provenance = results.provenance
     summary = summarize_signal(

@@ -65,7 +65,7 @@ class ResultSettings(CheckedSettings):
 
     @property
     def stated_margin(self) -> float | None:
-        """The margin that the user stated; None for the default, which keeps an earlier margin."""
+        """The margin if it is not the default; None if it is, so that results keep their margin."""
         return None if self.margin == MARGIN else self.margin
 
 

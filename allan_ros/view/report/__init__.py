@@ -165,7 +165,11 @@ def _hosts(charts: Sequence[Mapping[str, Any]], kind: str) -> list[str]:
 
 
 def _pair(sensors: Iterable[str], parts: Iterable[Sequence[str]]) -> list[str]:
-    """Return HTML with a column for each sensor that has parts; an empty list if none has parts."""
+    """Return HTML with a column for each sensor; sensors without any HTML are omitted.
+
+    ``parts`` contains, for each sensor, the pieces of its HTML. If all are empty, the result is an
+    empty list.
+    """
     content = [
         f'<div><h3>{SENSOR_NAMES[sensor]}</h3>{"".join(part)}</div>'
         for sensor, part in zip(sensors, parts)

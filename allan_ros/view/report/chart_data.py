@@ -160,7 +160,8 @@ def _density(axes: Mapping[str, AxisResult], results: Results) -> dict[str, Any]
 
 
 def _lines(axes: Mapping[str, AxisResult]) -> list[tuple[float, str]]:
-    groups: dict[str, list[tuple[float, str]]] = {}  # rounded frequency -> (Hz, axis)
+    # rounded frequency -> (frequency in Hz, axis) of each sinusoid and resonance
+    groups: dict[str, list[tuple[float, str]]] = {}
     for name, axis in axes.items():
         shapes = (part.process.numbers for part in axis.processes.parts)
         for frequency in (shape['frequency'] for shape in shapes if 'frequency' in shape):
@@ -184,7 +185,7 @@ def _signal(axes: Mapping[str, AxisResult], summary: SignalSummary) -> list[dict
 
 
 def times(summary: SignalSummary | None) -> dict[str, Any] | None:
-    """Return the times of the raw signal, and the times to be marked; None without a signal.
+    """Return the times of the raw signal, and bands of time to be marked; None without a signal.
 
     A band is (start in s, end in s, kind). The kind is 'gap', or the reason in `Excluded.why` for
     which the time is excluded, or 'other' if no reason is known.
@@ -328,9 +329,9 @@ def _fitted(
     if set(models) != set(names):
         return {'fits': [], 'text': dict.fromkeys(UNIT_SYSTEMS, '')}
     curves = [models[name].bias(trend.x) for name in names]
-    middles = trend.values.mean(axis=0)
+    means = trend.values.mean(axis=0)
     return {
-        'fits': [rounded(curve - curve.mean() + m) for curve, m in zip(curves, middles)],
+        'fits': [rounded(curve - curve.mean() + mean) for curve, mean in zip(curves, means)],
         'text': {u: pretty_unit(temperature_text(models, u)) for u in UNIT_SYSTEMS},
     }
 
