@@ -265,15 +265,23 @@ def rounding_step(sums: AllanSums, axis: int, white: float) -> float | None:
     counter that carries its remainder to the next sample has less white noise: its rounding error
     is quantization noise (Q).
     """
+    step = any_step(sums, axis, math.sqrt(max(white, 0.0)))
+    if step is None or not ROUNDING_SHARE < step * step / 12.0 / white < LARGEST_SHARE:
+        return None
+    return step
+
+
+def any_step(sums: AllanSums, axis: int, deviation: float) -> float | None:
+    """Return the step of which all sums of samples of an axis are multiples, or None.
+
+    ``deviation`` is as for `common_step`.
+    """
     means = [m for r in sums.recordings for m in r.means]
     if not means:
         return None
     longest = max(means, key=lambda m: m.samples)
     totals = longest.step * longest.values[:, axis]
-    step = common_step(np.cumsum(totals), math.sqrt(max(white, 0.0)))
-    if step is None or not ROUNDING_SHARE < step * step / 12.0 / white < LARGEST_SHARE:
-        return None
-    return step
+    return common_step(np.cumsum(totals), deviation)
 
 
 def common_step(phase: Floats, deviation: float) -> float | None:
@@ -284,7 +292,9 @@ def common_step(phase: Floats, deviation: float) -> float | None:
     `NEGLIGIBLE_STEP` times ``deviation`` are ignored. All numbers have the unit of the samples.
     """
     least_step = NEGLIGIBLE_STEP * deviation
-    magnitudes = np.unique(np.abs(phase[np.abs(phase) > least_step]))
+    # The sums of two blocks of samples differ by a few steps, which numerical errors hardly change.
+    multiples = np.abs(np.concatenate([phase, np.diff(np.sort(np.diff(phase)))]))
+    magnitudes = np.unique(multiples[multiples > least_step])
     if len(magnitudes) < LEAST_POINTS or not deviation > 0.0:
         return None
     step, values = 0.0, magnitudes.tolist()

@@ -33,7 +33,7 @@ from .likelihood import (
     profile_interval,
     ramp_estimate,
 )
-from .result import AxisFit, Floats, K, Q
+from .result import AxisFit, Floats, Q
 
 UNKNOWN = Estimate(None, status='not_observable')
 """A coefficient with neither a value nor a limit."""
@@ -109,9 +109,11 @@ def axis_fit(selected: SelectedModel, tau0: float, brief: bool = False) -> AxisF
         noise['Q'] = UNKNOWN
     if brief:
         noise |= dict.fromkeys('BKR', UNKNOWN)
-    values = {letter: noise[letter].value or 0.0 for letter in 'QNBK'}
-    if fit.components[K].parameters:  # another process replaces the random walk
-        values['K'] = 0.0
+    # a term that another process replaces is not in the model
+    values = {
+        term.letter: 0.0 if one.parameters else noise[term.letter].value or 0.0
+        for term, one in zip(RANDOM_TERMS, fit.components)
+    }
     values['R'] = 0.0 if brief else _ramp_of_model(ramp, noise['R'].resolved)
     shaped = _shaped(fit)
     parts = [

@@ -84,7 +84,8 @@ def axis_findings(sums: AllanSums, axis: int, fit: AxisFit, tau0: float) -> list
             found.append(finding(process.finding, name, **process.facts(value)))
     white = fit.noise['N'].value
     step = rounding_step(sums, axis, white**2 / tau0) if white else None
-    if step is not None and white:
+    is_counter = any(part.process.letter == 'Q' for part in shaped)
+    if step is not None and white and not is_counter:
         share = step * step / 12.0 / (white**2 / tau0)
         found.append(finding('rounding', name, step=step, share=min(share, 1.0)))
     longest = max((m.samples for r in sums.recordings for m in r.means), default=0)

@@ -177,23 +177,30 @@ class _Trial(NamedTuple):
 
 
 def estimate(
-    data: AxisData, candidates: Candidates, possible: Process | None = None
+    data: AxisData,
+    candidates: Candidates,
+    possible: Process | None = None,
+    rounding: Process | None = None,
 ) -> SelectedModel:
     """Return the selected model of one axis.
+
+    ``rounding`` are the rounding errors of a counter, which replace quantization noise in the model
+    unless the samples are low-pass filtered.
 
     ``possible`` is a process whose shape is known, such as a daily cycle. The model contains this
     process if the process is resolved in addition to all other components.
     """
+    base = (rounding or RANDOM_TERMS[Q], *RANDOM_TERMS[Q + 1 :])
     if possible is None:
-        return _estimate(Selection(data, candidates))
-    found = _estimate(Selection(data, candidates, (*RANDOM_TERMS, possible)))
+        return _estimate(Selection(data, candidates, base))
+    found = _estimate(Selection(data, candidates, (*base, possible)))
     at = len(RANDOM_TERMS)
     others = (*found.fit.components[:at], *found.fit.components[at + 1 :])
     signed = tuple(i - (i > at) for i in found.fit.signed)
     without = found.rules.data.solve(others, None, np.delete(found.fit.p, at), signed=signed)
     if without.value - found.fit.value > GAIN_RESOLVED:
         return found
-    return _estimate(Selection(data, candidates))
+    return _estimate(Selection(data, candidates, base))
 
 
 def _estimate(rules: Selection) -> SelectedModel:
@@ -346,7 +353,8 @@ def _trial(rules: Selection, top: float) -> _Trial:
     f = rules.data.statistics.f
     rules = replace(rules, data=replace(rules.data, used=f < top), fastest=top)
     if top < 0.5:  # q describes the filter; no process must be fast enough to imitate it
-        rules = replace(rules, signed=(Q,), shortest=8.0 / top, fastest=top / 2.0)
+        base = (RANDOM_TERMS[Q], *rules.base[Q + 1 :])
+        rules = replace(rules, base=base, signed=(Q,), shortest=8.0 / top, fastest=top / 2.0)
     rules, fit = rules.selected()
     return _Trial(top, rules, fit, _test(rules, fit))
 

@@ -14,6 +14,7 @@ from ..findings import Finding, finding
 from ..noise.processes.sinusoid import daily_cycle
 from .candidates import Candidates
 from .coefficients import axis_fit, without_estimates
+from .counter import rounding_errors
 from .fit_findings import axis_findings, merge_equal
 from .frequency_range import estimate
 from .likelihood import AxisData
@@ -89,7 +90,8 @@ def fit_likelihood(sums: AllanSums, of_axes: Sequence[Statistics] = ()) -> Noise
             continue
         brief = sums.samples * tau0 < LEAST_DRIFT_S
         try:
-            result = estimate(AxisData.of(known, a), candidates, daily)
+            data = AxisData.of(known, a)
+            result = estimate(data, candidates, daily, rounding_errors(sums, a, data))
             axes[name] = axis_fit(result, tau0, brief)
         except np.linalg.LinAlgError:  # the signal is periodic except for rounding errors
             axes[name] = without_estimates()

@@ -206,7 +206,7 @@ class Process:
 
     @classmethod
     def grid(cls, search: Search) -> Iterator[Process]:
-        """Yield the candidates of a search; none by default."""
+        """Yield the candidates of a search; none if the shape is not searched for, but computed."""
         return iter(())
 
     @classmethod

@@ -177,7 +177,8 @@ def test_every_process_with_a_shape_is_found_by_the_fit() -> None:
     assert {*SEARCHED, *REPLACEMENTS.values()} == shaped
     for one in shaped:
         candidates = list(one.grid(SEARCH))
-        assert len(set(candidates)) == len(candidates) > 2
+        has_computed_shape = one in REPLACEMENTS.values() and not candidates
+        assert len(set(candidates)) == len(candidates) > 2 or has_computed_shape
         assert one.threshold(100) > 0.0 and one.finding
         for each in candidates:
             for parameter, value in zip(each.parameters, each.shape):

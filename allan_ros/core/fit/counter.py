@@ -1,0 +1,62 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Rounding errors of a counter: their shape is computed from the step and the mean of the samples.
+
+A fit of plain quantization noise to such samples has a wrong N and Q. The difference between the
+two spectra is mostly a combination of the spectra of Q and N. Therefore, a search by likelihood
+would find the correlation of the errors only in data in which N and Q are already wrong by several
+standard errors.
+"""
+
+from __future__ import annotations
+
+import cmath
+import math
+
+import numpy as np
+
+from ..allan.at_rest import any_step
+from ..allan.sums import AllanSums
+from ..noise import RANDOM_TERMS, REPLACEMENTS, Process
+from .likelihood import AxisData
+from .result import N, Q
+from .selection import TOLERANCE
+
+LEAST_RATIO = 1.8
+"""Least ratio of the squared step to the variance of the samples for which the correlation of the
+rounding errors is taken into account. This ratio is reached if the step is 1.6 times the standard
+deviation of the white noise of a sample. The correlation of successive rounding errors is then
+0.03 %."""
+
+LARGEST_DIFFERENCE = 0.2
+"""Largest relative difference between the fitted variance of the rounding errors and step^2/12. If
+the difference is larger, the samples are rounded without carrying the remainder."""
+
+ROUNDS = 3
+"""Number of times that the shape is computed from N, and N is fitted again."""
+
+
+def rounding_errors(sums: AllanSums, axis: int, data: AxisData) -> Process | None:
+    """Return the rounding errors of a counter with a large step, or None if an axis has none.
+
+    ``data`` are the statistics of the axis. The shape of the result is in samples.
+
+    The mean of exp(2 pi i y/step) over the block means y is the effect of the rate, including its
+    drift, on the correlation of successive errors. The white noise multiplies this correlation by
+    exp(-2 pi^2 w/step^2), where w is the variance of the white noise of a sample.
+    """
+    step = any_step(sums, axis, math.sqrt(data.scale))
+    if step is None or step**2 < LEAST_RATIO * data.scale:
+        return None
+    means = np.concatenate([m.values[:, axis] for r in sums.recordings for m in r.means])
+    effect_of_rate = complex(np.mean(np.exp(2j * math.pi / step * means)))
+    frequency = abs(cmath.phase(effect_of_rate)) / (2.0 * math.pi)
+    decay_by_drift = -math.log(abs(effect_of_rate))
+    variance_of_error = step**2 / 12.0 / data.scale
+    fit, rounding = data.solve(RANDOM_TERMS, tolerance=TOLERANCE), None
+    for _ in range(ROUNDS):
+        decay = math.pi**2 / 6.0 * max(float(fit.p[N]), 1e-6) / variance_of_error + decay_by_drift
+        rounding = REPLACEMENTS[type(RANDOM_TERMS[Q])](frequency, 1.0 / decay)  # type: ignore[call-arg]
+        fit = data.solve((rounding, *RANDOM_TERMS[Q + 1 :]), None, fit.p, tolerance=TOLERANCE)
+    is_carried = abs(fit.p[Q] / variance_of_error - 1.0) < LARGEST_DIFFERENCE
+    return rounding if is_carried else None

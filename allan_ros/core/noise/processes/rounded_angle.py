@@ -1,0 +1,77 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Rounding errors of a counter whose step is large compared with the noise of a sample."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..process import CORRELATION_TIME, FREQUENCY, Floats, Process
+from .quantization import Quantization
+
+SMALLEST_EXPONENT = 39.0
+"""Exponent x above which exp(-x) is negligible compared with 1."""
+
+
+@dataclass(frozen=True)
+class RoundedAngle(Process):
+    """Difference of correlated rounding errors of unit variance.
+
+    A counter measures an angle (or a velocity) in whole steps and carries the remainder to the next
+    sample. The rounding error is a sawtooth function of the angle. If the angle increases by a mean
+    of f steps per unit of time, with white noise, the autocovariance of the error at a lag of t is
+    6/pi^2 times the sum of exp(-n^2 t/T) cos(2 pi n f t)/n^2 over n = 1, 2, ... The time T is
+    step^2/(2 pi^2 N^2). If T is far below the sample period, the errors are white, and the process
+    is quantization noise.
+
+    The series follows from the Fourier series of the sawtooth, and from the characteristic function
+    of a Gaussian change of the angle (B. Widrow and I. Kollar, Quantization Noise, 2008).
+    """
+
+    name = 'rounded_angle'
+    letter = 'Q'
+    label = 'Q'
+    meaning = 'Quantization noise of a counter with a large step: correlated rounding errors.'
+    time_power = 1.0
+    parameters = (FREQUENCY, CORRELATION_TIME)
+    finding = 'counter'
+    replaces = Quantization
+    no_states = 'its integral is a function of the angle, and no drift'
+
+    frequency: float = 0.0
+    correlation_time: float = 1.0
+
+    def gamma(self, M: ArrayLike, j: ArrayLike) -> Floats:
+        M, j = np.asarray(M, float), np.asarray(j, float)
+        before, at, after = (self._of_error(np.abs(j + shift) * M) for shift in (-1.0, 0.0, 1.0))
+        return np.asarray((2.0 * at - before - after) / M**2)
+
+    def _of_error(self, lag: Floats) -> Floats:
+        """Return the autocovariance of the rounding error at lags in samples."""
+        total, lags = np.ones(lag.shape), lag[lag > 0.0]
+        if not lags.size:
+            return total
+        exponents = lags / self.correlation_time
+        most = math.sqrt(SMALLEST_EXPONENT / float(exponents.min()))
+        found = np.zeros(lags.shape)
+        for n in range(1, int(most) + 2):
+            rest = n * n * exponents < SMALLEST_EXPONENT
+            wave = np.cos(2.0 * math.pi * n * self.frequency * lags[rest])
+            found[rest] += np.exp(-n * n * exponents[rest]) * wave / n**2
+        total[lag > 0.0] = 6.0 / math.pi**2 * found
+        return total
+
+    @property
+    def is_drift(self) -> bool:
+        return False
+
+    @property
+    def slowest_time(self) -> float:
+        return 0.0  # the integral is bounded
+
+    def facts(self, value: float) -> dict[str, float]:
+        return {'step': value * math.sqrt(12.0)}
