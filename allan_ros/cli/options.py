@@ -163,8 +163,7 @@ def add_settings(
         info, default = infos[setting.name], setting.default
         name = setting.name.replace('_', '-')
         help_text = info.doc.rstrip('.').replace('%', '%%')
-        # the first letter becomes lowercase, unless the text begins with a term such as 'N' or with
-        # the name 'Imu'
+        # a help text begins in lowercase, unless the first word is a term such as 'N', or 'Imu'
         if help_text[1].islower() and not help_text.startswith('Imu'):
             help_text = help_text[0].lower() + help_text[1:]
         if isinstance(default, bool):

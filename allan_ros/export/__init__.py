@@ -75,7 +75,7 @@ def target_rows(
     Raises
     ------
     AllanError
-        Under the conditions of `make_export`.
+        Under the same conditions as in `make_export`.
     """
     rows = FilterNoise(results, options, target_of(name), bias).rows()
     return tuple(row for row in rows if row.unit)

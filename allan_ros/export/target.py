@@ -119,7 +119,7 @@ class Key(NamedTuple):
     """One key of a file and the quantity that is written there."""
 
     name: str
-    # 'gyro' or 'accel'; '-' for both sensors: N or K is then the larger number of the two sensors
+    # 'gyro' or 'accel'; '-' for both sensors, whose larger N or K is written
     sensor: str
     # 'N' or 'K'; 'sigma', 'tau' or 'driving' (density sigma sqrt(2/tau)) of the Gauss-Markov bias;
     # 'common_tau': correlation time of all axes, in h; 'rate'; 'topic'
@@ -135,8 +135,7 @@ class Row:
     path: tuple[str, ...]  # the key, preceded by the keys of the mappings that contain it
     value: Value
     words: str = ''  # formula, axis and interval of the number as text; '' if it is not measured
-    # unit of the number in the file; '' if it is not measured
-    unit: str = ''
+    unit: str = ''  # unit of the number in the file; '' if it is not measured
     # 95 % interval of the number, in the unit of the file: (0, number) if the number is an upper
     # limit, (0, inf) if the interval is unknown. If the row has numbers for x, y and z, this is the
     # widest of their three intervals
@@ -236,15 +235,13 @@ class Target:
     keys: tuple[Key, ...] = ()  # the keys of the file
     parent: tuple[str, ...] = ()  # keys of the nested mappings that contain the keys of the file
     fixed: Mapping[str, Value] = field(default_factory=dict)  # required keys that are not measured
-    # further information for the user of this file
-    notes: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()  # further information for the user of this file
     # yields the rows of a file that is too complex for a table, given a `FilterNoise`
     rows: Callable[[Any], Iterable[Row]] | None = None
     # whether the file has numbers for x, y and z; if False, it has the largest of the three numbers
     three: bool = False
     rate_hz: float | None = None  # fixed rate of the estimator in Hz; None if it is the sample rate
-    # default of `ExportOptions.horizon` in s
-    horizon_s: float = HORIZON_S
+    horizon_s: float = HORIZON_S  # default of `ExportOptions.horizon` in s
     # whether the target models the bias as a random walk, so that N and K are adjusted together
     walk: bool = True
     # whether the numbers bound the error growth from above, as a state estimator needs; if False,

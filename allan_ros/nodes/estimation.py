@@ -229,9 +229,11 @@ class ImuEstimate(NodePart):
             self._fitting = self._worker.submit(partial(_drive_factors, self._results, drives))
 
     def _has_changed(self, sums: tuple[AllanSums, ...]) -> bool:
-        samples, fitted = (max((s.samples for s in x), default=0) for x in (sums, self._fitted))
-        grown = samples >= fitted * (1.0 + self._settings.value.growth)
-        return samples > 0 and (grown or samples < fitted)
+        samples, fitted_samples = (
+            max((s.samples for s in x), default=0) for x in (sums, self._fitted)
+        )
+        has_enough_more = samples >= fitted_samples * (1.0 + self._settings.value.growth)
+        return samples > 0 and (has_enough_more or samples < fitted_samples)
 
     def _are_new(self, drives: Drives) -> bool:
         """Return whether the drives differ from the drives of the present factors in motion.

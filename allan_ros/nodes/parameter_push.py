@@ -374,8 +374,8 @@ class ParameterPush(NodePart):
         if value.type == ParameterType.PARAMETER_DOUBLE_ARRAY:
             return tuple(value.double_array_value)
         is_undeclared = value.type == ParameterType.PARAMETER_NOT_SET
-        what = 'not declared' if is_undeclared else 'of another type'
-        self._note(name, f'is {what} in {self.node}: only doubles can be set')
+        problem = 'not declared' if is_undeclared else 'of another type'
+        self._note(name, f'is {problem} in {self.node}: only doubles can be set')
         return None
 
     def _note(self, name: str, note: str, warning: bool = True) -> None:

@@ -458,11 +458,11 @@ class ImuRelay(NodePart):
             if count:
                 found.append(finding(id, count=count, **values))
 
-        sink = self._publisher.topic_name
-        publishers = self._node.get_publishers_info_by_topic(sink)
+        output_topic = self._publisher.topic_name
+        publishers = self._node.get_publishers_info_by_topic(output_topic)
         names = ', '.join(sorted(map(full_name, publishers)))
         rival_publishers = len(publishers) if len(publishers) > 1 else 0
-        add('relay_several_publishers', rival_publishers, topic=sink, names=names)
+        add('relay_several_publishers', rival_publishers, topic=output_topic, names=names)
         if self._from_datasheet:
             sensors = ' and '.join(self._from_datasheet)
             found.append(finding('relay_datasheet', sensors=sensors))

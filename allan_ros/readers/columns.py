@@ -418,7 +418,7 @@ def _meaning(name: str) -> Meaning:
     if kind not in _SPELLINGS:
         return Meaning(kind, '', implied_unit)
     if len(text) < 4 and kind in SENSORS and sensor:
-        kind = sensor  # the unit is clearer than a single letter such as g
+        kind = sensor  # a unit is more reliable than the letter g, a or w in a name
     spelled = bracket or groups['unit'] or groups.get('inner') or ''
     unit = unit_named(spelled, _SPELLINGS[kind])
     if kind in SENSORS and unit and unit not in SAMPLE_UNITS[kind]:

@@ -73,8 +73,8 @@ class RunComparison:
     def differs(self) -> bool:
         """Whether any difference is significant, or a limit of a datasheet is exceeded.
 
-        If ``within`` is not 0, recordings differ from each other if they are not `equivalent`,
-        whether or not a difference is significant.
+        If ``within`` is not 0, the test whether the recordings are `equivalent` replaces the test
+        whether a difference is significant.
         """
         if any(worst_verdict(results.datasheet_checks) == 'exceeds' for _, results in self.checked):
             return True

@@ -186,7 +186,7 @@ def _draw_axis(panel: Axes, name: str, axis: AxisResult, units: str) -> None:
     panel.fill_between(
         curve.tau, curve.model, curve.upper, color='k', alpha=LIMIT_ALPHA, lw=0, label=label
     )
-    # at the mark of a term, its deviation equals its coefficient
+    # each mark shows where the deviation of a term equals the coefficient of this term
     for term, (tau, value) in curve.read.items():
         panel.plot([tau], [value], '+', color=TERM_STYLES[term][0], ms=7.0, mew=1.2)
     panel.set_ylim(0.45 * np.nanmin(curve.adev), 1.8 * np.nanmax(curve.adev))
