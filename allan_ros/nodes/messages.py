@@ -193,7 +193,7 @@ def _lost(old: AllanSums, new: AllanSums) -> int:
     lost = sum(
         samples - min(samples, present[start])
         for start, samples in _samples_by_start(old).items()
-        # short segments may be missing only because the length of the list is limited
+        # short segments may be missing only because the list of segments has a limited length
         if start in present or samples > shortest
     )
     return max(lost, old.samples - new.samples)

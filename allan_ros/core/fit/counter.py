@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Rounding errors of a counter: their shape is computed from the step and the mean of the samples.
 
+Why likelihood does not find the correlation
+--------------------------------------------
 A fit of plain quantization noise to such samples has a wrong N and Q. The difference between the
 two spectra is mostly a combination of the spectra of Q and N. Therefore, a search by likelihood
 would find the correlation of the errors only in data in which N and Q are already wrong by several
