@@ -60,7 +60,8 @@ ANSWER_S = 5.0
 """Longest time in s to wait for an answer of the other node; the next update then tries again."""
 
 RETRY_S = 1.0
-"""Period in s at which an update is tried until there are values and the other node is available."""
+"""Period in s at which an update is tried until there are values to set, and the other node is
+available."""
 
 CLOSING_S = 0.5
 """Longest time in s to wait for the answers of the other node while this node ends."""
