@@ -77,6 +77,9 @@ class Scenario:
     low_pass : (order, corner)
         Order and corner frequency in Hz of a Butterworth filter of the samples. Order 0 means that
         the samples are not filtered.
+    counter : bool
+        Whether the sensor counts steps of an angle, and carries the remainder to the next sample.
+        The step gives the quantization noise of ``truth``. The mean rate is random.
     """
 
     truth: Model
@@ -88,6 +91,7 @@ class Scenario:
     lines: tuple[tuple[float, float], ...] = ()
     hump: tuple[float, float] = (0.0, 1.0)
     low_pass: tuple[int, float] = (0, 1.0)
+    counter: bool = False
 
     def axis(self, rng: np.random.Generator) -> np.ndarray:
         """Return the samples of one axis of a record, (n,), in SI."""
@@ -96,7 +100,8 @@ class Scenario:
         order, corner = self.low_pass
         before = round(100 * self.rate / corner) if order else 0
         n = round(self.rate * self.seconds) + before
-        y = simulate_axis(n, 1.0 / self.rate, self.truth, rng)
+        noise = self.truth.changed(Q=0.0) if self.counter else self.truth
+        y = simulate_axis(n, 1.0 / self.rate, noise, rng)
         for amplitude, frequency in self.lines:
             turns = frequency / self.rate * np.arange(n) + rng.uniform()
             y += amplitude * self.truth.value('N') * self.rate**0.5 * np.sin(2.0 * np.pi * turns)
@@ -111,6 +116,10 @@ class Scenario:
             y += lfilter([1.0], [1.0, -keep], steps)
         if order:
             y = lfilter(*butter(order, 2.0 * corner / self.rate), y - y[0])
+        if self.counter:
+            step = self.truth.value('Q') * self.rate * math.sqrt(12.0)
+            counts = np.cumsum(np.append(rng.uniform(), y / step + rng.uniform()))
+            y = step * np.diff(np.round(counts))
         return y[before:]
 
     def cuts(self, rng: np.random.Generator) -> np.ndarray:
@@ -139,6 +148,8 @@ Y = gyro(Q=0.124, N=0.168, B=4.972, K=8.169, R=11.068)
 Z = gyro(Q=0.100, N=0.245, B=6.058, K=50.568, R=66.250)
 HOUR = 3600.0
 DAY = 24 * HOUR
+# X with counts of 2.5 standard deviations of the white noise of a sample at 100 Hz
+COUNTED = X.changed(Q=2.5 * X.value('N') / math.sqrt(12.0 * 100.0))
 # noise in the scenarios of a month on a robot, in which drives and shocks split the record
 MONTH = gyro(N=0.172, K=6.19)
 WITH_FLICKER = MONTH.changed(B=from_datasheet('B', 'gyro', 1.24))
@@ -153,6 +164,7 @@ SCENARIOS = {
     'no_ramp': Scenario(X.changed(R=0.0), 100.0, 2 * HOUR, 5),
     'ramp_no_walk': Scenario(X.changed(K=0.0), 100.0, 2 * HOUR, 8),
     'quantized': Scenario(gyro(Q=4.0, N=0.242, K=31.807), 100.0, 2 * HOUR, 7),
+    'counter': Scenario(COUNTED, 100.0, HOUR / 2, 18, counter=True),
     'five_minutes': Scenario(X, 100.0, 300.0, 0),
     'three_hours': Scenario(gyro(N=0.6, B=8.0, K=40.0), 200.0, 3 * HOUR, 13),
     'six_segments': Scenario(X, 100.0, 2 * HOUR, 9, segments=6),

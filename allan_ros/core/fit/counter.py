@@ -53,7 +53,7 @@ def rounding_errors(sums: AllanSums, axis: int, data: AxisData) -> Process | Non
     means = np.concatenate([m.values[:, axis] for r in sums.recordings for m in r.means])
     effect_of_rate = complex(np.mean(np.exp(2j * math.pi / step * means)))
     frequency = abs(cmath.phase(effect_of_rate)) / (2.0 * math.pi)
-    decay_by_drift = -math.log(abs(effect_of_rate))
+    decay_by_drift = -math.log(max(abs(effect_of_rate), 1e-300))
     variance_of_error = step**2 / 12.0 / data.scale
     fit, rounding = data.solve(RANDOM_TERMS, tolerance=TOLERANCE), None
     for _ in range(ROUNDS):
