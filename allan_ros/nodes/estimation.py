@@ -5,13 +5,13 @@
 from __future__ import annotations
 
 import json
+import os
 import time
 import traceback
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 from typing import NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -94,7 +94,7 @@ class ImuEstimate(NodePart):
         self._worker, self._listeners = worker, listeners
         sensor, path = settings.value.sensor, settings.value.baseline
         self._datasheet = load_sensor(sensor) if sensor else None
-        path = path and str(Path(path).expanduser())
+        path = path and os.path.expanduser(path)
         self._baselines = {path: load(path)} if path else {}
         self._snapshot: Snapshot | None = None
         self._results: Results | None = None

@@ -37,7 +37,7 @@ def former_values_file(node: str) -> Path:
     The name of the file contains the ROS domain. The file is in the folder ``allan_ros`` of
     ``ROS_HOME``, which is ``~/.ros`` by default.
     """
-    home = Path(os.environ.get('ROS_HOME') or '~/.ros').expanduser()
+    home = Path(os.path.expanduser(os.environ.get('ROS_HOME') or '~/.ros'))
     domain = os.environ.get('ROS_DOMAIN_ID') or '0'
     return home / 'allan_ros' / f'former_values_{domain}_{node.strip("/").replace("/", ".")}.json'
 

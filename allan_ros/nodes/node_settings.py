@@ -7,6 +7,7 @@ The settings of the data selection (group ``segmenter``) are in `core.settings`.
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -116,7 +117,7 @@ class InputSettings(CheckedSettings):
         labels = self.labels if any(self.labels) else topic_labels
         hardware_ids = self.hardware_ids * (count if len(self.hardware_ids) == 1 else 1)
         accel_topics = self.accel_topics if any(self.accel_topics) else [''] * count
-        path = Path(checkpoint).expanduser()
+        path = Path(os.path.expanduser(checkpoint))
         files = [path if count == 1 else path / f'{label}.json' for label in labels]
         checkpoints = [str(file) if checkpoint else '' for file in files]
         return list(map(WatchedImu, self.topics, labels, hardware_ids, checkpoints, accel_topics))

@@ -316,7 +316,8 @@ def config_file(kind: str, name: str, called: str) -> Path:
     kind : str
         Name of the folder with such files: 'sensors' or 'filters'.
     name : str
-        Name of the file without suffix, or path of a .yaml file. A path is not checked.
+        Name of the file without suffix, or path of a .yaml or .yml file. In a name, capital letters
+        and punctuation do not matter. A path is not checked.
     called : str
         Word for such a file in messages, such as 'datasheet'.
 
@@ -327,7 +328,8 @@ def config_file(kind: str, name: str, called: str) -> Path:
     """
     path = Path(name)
     if path.suffix.lower() in ('.yaml', '.yml'):
-        return path.expanduser()
+        # unlike Path.expanduser, this function does not fail if the user does not exist
+        return Path(os.path.expanduser(path))
     if path.name == name:
         for folder in config_folders(kind):
             file = folder / f'{name.lower()}.yaml'
@@ -350,7 +352,7 @@ def config_folders(kind: str) -> list[Path]:
     The folder of the user (XDG Base Directory, 0.8) comes first. The folders ``config/<kind>`` of
     the source code and of the installed package follow.
     """
-    home = os.environ.get('XDG_CONFIG_HOME') or Path('~/.config').expanduser()
+    home = os.environ.get('XDG_CONFIG_HOME') or os.path.expanduser('~/.config')
     this_file = Path(__file__).resolve()
     folders = [Path(home) / 'allan_ros' / kind, this_file.parents[2] / 'config' / kind]
     folders += [parent / 'share' / 'allan_ros' / 'config' / kind for parent in this_file.parents]

@@ -22,7 +22,7 @@ from ..core.filters.state_space import StateSpace, state_space
 from ..core.fit.least_squares import fit_curve
 from ..core.fit.model_curve import ModelLine, Region, model_line
 from ..core.fit.result import TERMS, AxisFit, TemperatureModel
-from ..core.imu import AXES, SI_UNITS, sensor_of
+from ..core.imu import AXES, NANOSECONDS, SI_UNITS, sensor_of
 from ..core.noise import Model
 from ..core.settings import choose, expect
 
@@ -166,17 +166,21 @@ class AxisResult:
 
     def _tau(self, m: ArrayLike) -> NDArray[np.float64]:
         try:
-            return np.asarray(m, float) * self.tau0
+            factors = np.asarray(m, float)
         except (TypeError, ValueError) as error:
             raise AllanError(
                 f'm is {m!r:.60}: an array of averaging factors is expected'
             ) from error
+        if not (factors > 0.0).all():
+            raise AllanError(f'm is {m!r:.60}: averaging factors above 0 are expected')
+        return factors * self.tau0
 
     def part_adev(self, m: ArrayLike) -> dict[str, NDArray[np.float64]]:
         """Return the Allan deviation of each part of the fitted model: part -> (factors,), in SI.
 
         ``m`` are averaging factors, which are averaging times in samples. A part is a term, a
-        Gauss-Markov process or a sinusoid.
+        Gauss-Markov process or a sinusoid. Raises AllanError if ``m`` is not an array of numbers
+        above 0.
 
         Examples
         --------
@@ -198,7 +202,8 @@ class AxisResult:
         """Return the Allan deviation of each term that is 0 in the model, at its 95 % upper limit.
 
         ``m`` are averaging factors, which are averaging times in samples. The result maps terms to
-        Allan deviations in SI, (factors,).
+        Allan deviations in SI, (factors,). Raises AllanError if ``m`` is not an array of numbers
+        above 0.
         """
         model = self.fit.model
         limits = {
@@ -226,7 +231,7 @@ class AxisResult:
 
         ``m`` are averaging factors, which are averaging times in samples. If the samples are
         low-pass filtered, the result is NaN at short averaging times at which the variance of the
-        model is negative. Raises AllanError if ``m`` is not an array of numbers.
+        model is negative. Raises AllanError if ``m`` is not an array of numbers above 0.
         """
         with np.errstate(invalid='ignore'):
             total: NDArray[np.float64] = np.sqrt(self.fit.model.avar(self._tau(m), self.tau0))
@@ -252,7 +257,8 @@ def adev(samples: ArrayLike, rate: float = 1.0) -> AxisCurve:
     Raises
     ------
     AllanError
-        When there are fewer than two samples, some are not finite, or the rate is not positive.
+        When there are fewer than two samples, some are not finite numbers, their array has another
+        shape, or the rate is not positive.
 
     Examples
     --------
@@ -268,7 +274,7 @@ def adev(samples: ArrayLike, rate: float = 1.0) -> AxisCurve:
         raise AllanError(f'the samples are not numbers ({error}): give an array') from None
     expect(Real, rate=rate)
     table = values[:, None] if values.ndim == 1 else values
-    if table.ndim != 2 or not (np.isfinite(rate) and rate > 0.0):
+    if table.ndim != 2 or not table.shape[1] or not (np.isfinite(rate) and rate > 0.0):
         raise AllanError(
             f'samples of shape {values.shape} at {rate} Hz: give (n,) or (n, columns) and a '
             'positive rate'
@@ -280,12 +286,13 @@ def adev(samples: ArrayLike, rate: float = 1.0) -> AxisCurve:
         )
     engine = RunningSums(axes=tuple(f'column {i}' for i in range(table.shape[1])))
     if len(table):
-        engine.update(table, 0, round((len(table) - 1) / rate * 1e9))
+        # the sample period is 1 s here, because stamps in ns would round a very short period
+        engine.update(table, 0, (len(table) - 1) * NANOSECONDS)
     engine.end_segment()
     curve = allan_curve(engine.sums)
     curve_arrays = (curve.adev, curve.ci_low, curve.ci_high)
     deviation, low, high = (c[:, 0] if values.ndim == 1 else c for c in curve_arrays)
-    return AxisCurve(curve.m, curve.tau, curve.n, deviation, low, high)
+    return AxisCurve(curve.m, curve.m / float(rate), curve.n, deviation, low, high)
 
 
 def fit(

@@ -21,6 +21,7 @@ The keys ``gyro`` and ``accel`` apply to all axes of the sensor; the key of one 
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -285,7 +286,7 @@ def load_plan(path: str | Path) -> Plan:
     Raises AllanError if the file cannot be read or an entry is invalid; the message states the
     position of the entry.
     """
-    return plan_from_document(read_yaml(Path(path).expanduser()), str(path))
+    return plan_from_document(read_yaml(Path(os.path.expanduser(path))), str(path))
 
 
 def plan_from_document(document: object, where: str) -> Plan:

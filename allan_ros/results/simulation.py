@@ -33,7 +33,7 @@ from ..core.fields import Fields, located
 from ..core.fit.result import TERMS, AxisFit
 from ..core.imu import AXES, SI_UNITS, ImuBatch, ImuIdentity, from_datasheet, joined, sensor_of
 from ..core.noise import LETTERS, Model
-from ..core.settings import check_range, expect, settings_from
+from ..core.settings import SLOWEST_HZ, check_range, expect, settings_from
 from ..core.simulator import PRESETS, Faults, simulate_imu
 from ..readers import SourceInfo
 from ..readers.files import public, read_yaml, to_json, write_atomic
@@ -227,10 +227,10 @@ def results_of_truth(path: str | os.PathLike[str]) -> Results:
 
     The intervals have no width, because the noise is known exactly. A term that was not simulated
     has no value, so that measured results are not compared with it. Raises AllanError when the file
-    is invalid.
+    cannot be read or is invalid.
     """
     fields = Fields(read_yaml(Path(path)), str(path))
-    tau0, seconds = 1.0 / fields.number('rate_hz'), fields.number('seconds')
+    tau0, seconds = 1.0 / fields.number('rate_hz', SLOWEST_HZ), fields.number('seconds', 0.0)
     axes = {
         axis: AxisResult(tau0, AxisFit(_estimates(model), model), name=axis)
         for axis, model in read_noise(path).items()

@@ -101,6 +101,17 @@ def test_adev_of_one_and_several_columns(noise: np.ndarray) -> None:
     assert one.adev[0] == pytest.approx(np.sqrt(np.mean(np.diff(y) ** 2) / 2.0), rel=1e-12)
 
 
+@pytest.mark.parametrize('rate', [1e-300, 7e8, 1e12])
+def test_adev_has_exact_averaging_times_at_extreme_rates(noise: np.ndarray, rate: float) -> None:
+    one = ar.adev(noise[:100, 0], rate=rate)
+    assert one.tau[:3] * rate == pytest.approx([1.0, 2.0, 3.0], rel=1e-12)
+
+
+def test_adev_needs_a_column() -> None:
+    with pytest.raises(ar.AllanError, match=r'shape \(5, 0\)'):
+        ar.adev(np.zeros((5, 0)))
+
+
 def test_adev_agrees_with_allantools(noise: np.ndarray) -> None:
     allantools = pytest.importorskip('allantools')
     curve = ar.adev(noise[:, 1], rate=RATE)

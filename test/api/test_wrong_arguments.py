@@ -128,6 +128,8 @@ CALLS = [
     (lambda r: r['gyro_x'].N.to(5), 'unit is 5: a text is expected'),
     (lambda r: r['gyro_x'].quantity('X'), "term is 'X': choose one of Q, N, B, K, R"),
     (lambda r: r['gyro_x'].total_adev('x'), "m is 'x': an array of averaging factors"),
+    (lambda r: r['gyro_x'].total_adev(None), 'm is None: averaging factors above 0'),
+    (lambda r: r['gyro_x'].limit_adev([0, 1]), r'm is \[0, 1\]: averaging factors above 0'),
 ]
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from allan_ros.core.errors import AllanError
-from allan_ros.readers.files import write_atomic
+from allan_ros.readers.files import config_file, write_atomic
 
 
 def test_content_replaces_content(tmp_path: Path) -> None:
@@ -47,3 +47,17 @@ def test_others_may_read_what_the_umask_allows(tmp_path: Path) -> None:
     reference.write_text('')
     write_atomic(path, '')
     assert path.stat().st_mode == reference.stat().st_mode
+
+
+def test_the_path_of_an_unknown_user_is_not_changed() -> None:
+    name = '~no_such_user/imu.yaml'
+    assert config_file('sensors', name, 'datasheet') == Path(name)
+    assert config_file('sensors', '~/imu.yaml', 'datasheet') == Path.home() / 'imu.yaml'
+
+
+def test_configuration_files_are_found_without_a_home_folder(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.delenv('XDG_CONFIG_HOME', raising=False)
+    monkeypatch.setattr(os.path, 'expanduser', lambda path: path)  # as without a home folder
+    assert config_file('sensors', 'mpu6050', 'datasheet').name == 'mpu-6050.yaml'

@@ -8,7 +8,7 @@ from allan_ros.core.errors import AllanError
 from allan_ros.core.imu import AXES, from_datasheet
 from allan_ros.core.noise import Model
 from allan_ros.core.simulator import Faults
-from allan_ros.results.simulation import read_noise, truth_path, write_truth
+from allan_ros.results.simulation import read_noise, results_of_truth, truth_path, write_truth
 
 
 @pytest.fixture
@@ -63,3 +63,12 @@ def test_the_truth_file_is_exact(tmp_path):
 def test_a_bad_specification_is_rejected_with_its_place(read, text, said):
     with pytest.raises(AllanError, match=said):
         read(text)
+
+
+@pytest.mark.parametrize(('key', 'value'), [('rate_hz', 0), ('rate_hz', -100.0), ('seconds', -1)])
+def test_a_truth_file_with_an_impossible_rate_or_duration_is_rejected(tmp_path, key, value):
+    noise = dict.fromkeys(AXES, Model())
+    path = write_truth(tmp_path / 'x', noise, seconds=9.0, rate=100.0, seed=3, faults=Faults())
+    path.write_text(json.dumps({**json.loads(path.read_text()), key: value}))
+    with pytest.raises(AllanError, match=key):
+        results_of_truth(path)
