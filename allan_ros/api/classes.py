@@ -228,7 +228,8 @@ class Results(PlainResults):
         plots : sequence of str
             File formats of figures that are written in addition to the report: 'png', 'svg', 'pdf'.
         overwrite : bool
-            Whether results of another recording in this folder are replaced.
+            Whether results of another recording, with another file name or topic, in this folder
+            are replaced.
 
         Raises
         ------

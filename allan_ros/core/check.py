@@ -481,8 +481,8 @@ def _p_value_of_limit(a: Known, limit: float, power: float) -> float:
 def _degrees_of_freedom(low: Floats, high: Floats) -> Floats:
     """Return the degrees of freedom, (n,), of Allan deviations with given confidence limits.
 
-    The result follows from the ratio of the limits, ``high`` / ``low``. It is NaN if a limit is
-    invalid.
+    The result follows from the ratio of the limits, ``high`` / ``low``, and lies in the range of
+    `EDF_TABLE`. It is NaN unless ``low`` is finite and above 0, and ``high`` is larger.
     """
     from scipy import special
 

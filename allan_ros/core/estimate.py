@@ -200,8 +200,8 @@ class Estimate:
         """Return the estimate that `document` wrote as a JSON object.
 
         Name, unit and axis are not stored; missing numbers are None. With ``signed``, the value and
-        the lower limit may be negative. Raises AllanError if a number is invalid, or the status is
-        missing.
+        the lower limit may be negative. Raises AllanError if a number is invalid, or if the status
+        is missing or unknown.
         """
         least = -MAX_FLOAT if signed else 0.0
 

@@ -148,9 +148,9 @@ def replaced_share(before: Sequence[AllanSums], after: Sequence[AllanSums]) -> f
     """Return the share of the samples in ``before`` that are missing in ``after``.
 
     If ``before`` contains several `AllanSums`, their largest share is returned. The share is 0
-    while sums only grow, and 1 if ``after`` has no sums of the same IMU and axes. The share is
-    computed from the starts and lengths of the segments; `AllanSums` list only their
-    `KEPT_SEGMENTS` longest segments.
+    while sums only grow, and 1 if ``after`` has no sums of the same IMU and axes. The missing
+    samples are counted from the starts and lengths of the segments, and are at least the decrease
+    of the total number of samples. `AllanSums` list only their `KEPT_SEGMENTS` longest segments.
     """
     shares = [0.0]
     for old in before:

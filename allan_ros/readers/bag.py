@@ -89,7 +89,9 @@ class Bag:
     def storage(self, file: Path) -> Storage:
         """Return one of the files, opened for reading; a compressed file is decompressed for this.
 
-        Raises AllanError when the file is missing, damaged, or not a bag.
+        The file that was open before is closed. Raises AllanError when the file is missing, empty,
+        not a bag, or so damaged that it cannot be opened. Other damage is found when the messages
+        are read.
         """
         if self._open is None or self._open[0] != file:
             self.close()

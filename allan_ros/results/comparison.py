@@ -99,7 +99,7 @@ def compare_runs(
     Parameters
     ----------
     runs : mapping of label to Results
-        Results of each recording.
+        Results of each recording, at least one.
     datasheets : sequence of Datasheet
         Datasheets with which every recording is compared.
     margin : float
@@ -107,6 +107,12 @@ def compare_runs(
         limit * (1 + margin).
     within : float
         Fraction by which coefficients may differ and still be called equal; 0 for no such test.
+
+    Returns
+    -------
+    RunComparison
+        ``differences`` are the comparisons with the first recording, and ``checked`` are the
+        results compared with the datasheets.
 
     Raises
     ------

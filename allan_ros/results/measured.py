@@ -17,7 +17,7 @@ from ..core.number_text import significant
 from .datasheets import Datasheet, Measured
 from .results import Results
 
-CATALOGUE_UNITS = {('gyro', 'N'): 'deg/sqrt(h)', ('accel', 'N'): 'ug/sqrt(Hz)'}
+CATALOGUE_UNITS = {('accel', 'N'): 'ug/sqrt(Hz)'}
 """(Sensor, term) -> unit in the list ``measured``, where it differs from `DATASHEET_UNITS`."""
 
 CHANGE_WORDS: dict[Judgement, str] = {'alike': 'typical', 'higher': 'noisier', 'lower': 'quieter'}
@@ -50,7 +50,10 @@ def measured_values(results: Results) -> dict[tuple[str, str], Estimate]:
 
 
 def _texts(sensor: str, term: str, *values: float, digits: int = 3) -> tuple[str, ...]:
-    """Return values of a term, in SI, as texts in the datasheet unit, then the unit itself."""
+    """Return values of a term as texts in the unit of the list ``measured``, then this unit.
+
+    ``values`` are in SI.
+    """
     unit = CATALOGUE_UNITS.get((sensor, term), DATASHEET_UNITS[sensor][term])
     return *(significant(value / UNITS[unit].factor, digits) for value in values), unit
 

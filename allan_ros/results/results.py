@@ -167,6 +167,7 @@ class Results:
         """Whether N or, if N has no limit, every compared term is within all its limits.
 
         If N has a limit, the other terms are ignored, because they often need a longer recording.
+        True if nothing is compared.
         """
         required = [c for c in self.comparisons if c.quantity == 'N'] or self.comparisons
         return all(c.verdict == 'within' for c in required)

@@ -115,11 +115,13 @@ def _folder_locked(folder: Path) -> Iterator[None]:
 
 
 def _files_in(folder: Path, results: Results, overwrite: bool) -> set[str]:
-    """Return the names of the files of an earlier analysis in a folder.
+    """Return the names of the files that an earlier analysis wrote to a folder.
 
-    The names do not include results.json and sums.json.
+    The names are listed in results.json, and do not include results.json and sums.json. Files that
+    this program never writes are ignored. The result is empty if no valid results.json exists.
 
     Raises AllanError if the folder has results of another recording, unless ``overwrite`` is set.
+    Recordings are the same if their file names and topics are equal.
     """
     try:
         document = read_json(folder / RESULTS)

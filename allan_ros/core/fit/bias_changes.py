@@ -168,7 +168,8 @@ class AxisSegment:
 
         The score of an effect is the square of its estimated size, divided by the variance of this
         estimate. The model consists of this effect, the effects ``others``, and the noise of
-        ``fit``. Each column of ``effects`` and ``others`` contains the contrasts of one effect.
+        ``fit``. Each column of ``effects`` and ``others``, (contrasts, number), contains the
+        contrasts of one effect. The score is 0 for an effect that ``others`` explain completely.
         """
         whitened, z = self._whitened(np.column_stack([others, effects]), fit)
         number = others.shape[1]

@@ -203,9 +203,10 @@ class Kind:
         return self.moments(data, fit, low).gains(fit)
 
     def moments(self, data: AxisData, fit: Fit, low: Sequence[LowBandFit]) -> Moments:
-        """Return the derivatives of the log likelihood for all candidates; arguments as in `gains`.
+        """Return score and Fisher information of all candidates; arguments as in `gains`.
 
-        The coefficients of the candidates are 0.
+        The score is the derivative of the log likelihood with respect to the coefficient of a
+        candidate, at the coefficient 0.
         """
         s, half = fit.spectrum(), data.dof[data.used] / 2.0
         relative_power = self.power[:, data.used] / s

@@ -309,7 +309,8 @@ def _with_fast_process(rules: Selection) -> Fit:
 def _is_rather_filter(rules: Selection, fit: Fit) -> bool:
     """Return whether a low-pass filter explains the data as well as the fast processes of a fit.
 
-    The fast processes are Gauss-Markov processes that bend the spectrum (`bends_spectrum`).
+    The fast processes are Gauss-Markov processes that bend the spectrum (`bends_spectrum`). The
+    result is False if the fit has no such process, or if q may already be negative in it.
     """
     is_fast = np.array([c.bends_spectrum for c in fit.components])
     if rules.signed or not is_fast.any():
@@ -386,9 +387,11 @@ def _tail(deviance: float, number: float) -> float:
 def _test(rules: Selection, fit: Fit) -> _Verdict:
     """Return the result of the tests of a model.
 
-    A low-pass filter is recognized by one of three signs: a significant further power of f in the
-    spectrum (f^2, or f^4 if q may be negative), white noise that is not resolved, or processes that
-    imitate the filter.
+    The power in each octave and in all octaves is compared with the model (chi-squared tests). The
+    spectrum looks low-pass filtered if it contains a significant further power of f: a negative
+    term in f^2, or a term in f^4 if q may be negative. The model may hide a low-pass filter if the
+    white noise is not resolved, if processes imitate the filter, or if the filter explains the data
+    as well as the fast processes.
     """
     data = rules.data
     parts = list(_deviances(data, fit).values())

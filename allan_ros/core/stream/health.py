@@ -509,7 +509,10 @@ def _norm_at_rest(sums: AllanSums, axes: list[int]) -> float:
 
 
 def gravity_unit(norm: float) -> str:
-    """Return the unit in which a mean acceleration equals gravity, or '' if there is no such unit.
+    """Return the unit in which ``norm`` is the magnitude of gravity, or '' if there is none.
+
+    ``norm`` is the magnitude of a mean acceleration in an unknown unit. It may differ from gravity
+    by less than the fraction `G_BAND`.
 
     >>> gravity_unit(9.81), gravity_unit(1.0), gravity_unit(5.0)
     ('m/s^2', 'g', '')

@@ -339,9 +339,11 @@ class NoiseFloor:
         return np.where(self.gyro, self.settings.rate_limit, np.inf)
 
     def changed_unit(self, ratio: Floats) -> str:
-        """Return the unit to which the gyro changed, or '' if its unit did not change.
+        """Return the unit of the gyro at one of two times, or '' if the unit was rad/s at both.
 
-        ``ratio``, (axes,), is the ratio of the noise now to the noise before.
+        ``ratio``, (axes,), is the standard deviation of the noise at this time, divided by the
+        standard deviation at the other time, at which the unit was rad/s. The result is also '' for
+        fewer than three axes of the gyro, or if the noise of the accelerometer is larger, too.
         """
         return changed_gyro_unit(ratio[self.gyro], ratio[~self.gyro])
 
@@ -479,9 +481,14 @@ class NoiseFloor:
         """Return whether the sensor moved when the noise floor ``former`` was learned.
 
         This noise floor was learned later. ``axes``, (axes,), flags the axes whose noise is smaller
-        than before. The sensor moved if the former noise was not stationary, had low frequencies,
-        or was very large, or if the mean rate or the direction of gravity changed. Without motion,
-        a fault of a few axes, a setting of the sensor, a fan or another unit changes the noise.
+        than before. The sensor moved if the former noise was very large (`SHAKEN_RATIO`), was not
+        stationary or had low frequencies, or if the mean rate or the direction of gravity changed.
+
+        Without motion, a fault of a few axes, a setting of the sensor, a fan or another unit
+        changes the noise. The result is therefore False if fewer than `MOVING_AXES` of the axes now
+        have noise above the former resolution, or if the magnitude of gravity or the unit of the
+        gyro changed. Unless the former noise was very large, the result is also False if fewer than
+        the share `QUANTILE` of the former windows agree with the former noise.
         """
         axes = axes & (self.variance > former.lsb**2)
         if np.count_nonzero(axes) < MOVING_AXES:

@@ -128,9 +128,10 @@ class ImuStream:
     def drives(self) -> Drives:
         """Return the latest drives between two rests; empty unless ``with_drives`` was set.
 
-        The drives are those with the frame_id that has the most data. There are no drives if gyro
-        and accelerometer have different rates or are in different streams. Before `end`, a drive is
-        complete when its second rest is over or long enough.
+        The drives are those with the frame_id that has the most data. There are no drives if an
+        axis is absent, if gyro and accelerometer have different rates or are in different streams,
+        or if motion detection is switched off. Before `end`, a drive is complete when its second
+        rest is over or long enough.
         """
         most_used = max(
             self._frames.values(), key=lambda each: each.counts.used, default=self._present

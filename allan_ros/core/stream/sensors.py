@@ -277,7 +277,11 @@ def zeros_and_repeats(sensor: str, axes: tuple[str, ...], rows: Floats) -> list[
 def _plan_sensor(
     sensor: str, rows: Floats, repeats: Flags, findings: list[Finding]
 ) -> SensorPlan | None:
-    """Return the plan of one sensor, or None if it is absent; append to ``findings``."""
+    """Return the plan of one sensor; None if the sensor is absent, or all its samples are zero.
+
+    ``rows``, (6, n), are the samples, and ``repeats``, (6, n - 1), flags the values that equal the
+    previous value of the axis. Findings about the sensor are appended to ``findings``.
+    """
     sensor_slice = SENSORS[sensor]
     axis_indices = np.arange(sensor_slice.start, sensor_slice.stop)
     axis_indices = axis_indices[(np.abs(rows[sensor_slice]) <= LARGEST).any(axis=1)]
