@@ -129,7 +129,7 @@ class Estimate:
 
     @property
     def resolved(self) -> bool:
-        """Whether the data show that the number is not 0, and the value is known."""
+        """Whether the value is known and the data show that it is not 0."""
         return self.status == 'estimated' and self.value is not None
 
     @property

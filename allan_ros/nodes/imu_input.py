@@ -349,7 +349,7 @@ class ImuInput:
         buffer = self._buffer
         buffer.payloads.append(payload)
         buffer.size += len(payload) + MESSAGE_BYTES
-        if info is None:  # this method is used as a callback
+        if info is None:  # rclpy calls this method without the info of the message
             buffer.received_ns.append(time.time_ns())
             buffer.arrived_s.append(steady_s())
             return

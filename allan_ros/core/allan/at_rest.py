@@ -302,8 +302,8 @@ def common_step(phase: Floats, deviation: float) -> float | None:
         former_step, step = step, _common_divisor(value, step, least_step)
         if step < least_step:
             return None
-        # Euclid's algorithm accumulates rounding errors. To remove these errors, the phase values
-        # so far, the smallest first, are divided by their numbers of steps.
+        # Euclid's algorithm accumulates rounding errors. To remove them, the step is computed again
+        # from each magnitude so far, the smallest first: magnitude / number of steps.
         for magnitude in [value] if step == former_step else values[: i + 1]:
             multiple = round(magnitude / step)
             if multiple < 1:

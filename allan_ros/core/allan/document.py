@@ -41,7 +41,7 @@ MAX_CLASSES = 500
 """Largest accepted number of length classes; class 500 has segments of 1.1^500 = 5e20 samples."""
 
 MAX_STRETCHES = 10_000
-"""Largest accepted number of rows in the table of replaced stretches."""
+"""Largest accepted number of rows in the table of stretches of replaced samples."""
 
 MAX_SUM = 1e80
 """Largest accepted sum of squares. A fit computes the third power of a sum, which must not

@@ -339,11 +339,11 @@ class DriveLikelihood:
         return CAUSES[name] * fit.mean[columns], CAUSES[name] * deviations
 
     def ratios(self, fit: Fit) -> Floats:
-        """Return the rotation and the velocity error of each drive, relative to the prediction.
+        """Return the rotation error and the velocity error of each drive, relative to predictions.
 
         The result is (drives, 2). The fitted effects of the accelerometer bias and of the rotation
-        of the Earth are subtracted from the errors. The predicted root mean square error contains
-        the noise at rest, and unknown drift with its fitted size.
+        of the Earth are subtracted from the errors. The predicted root mean square error consists
+        of the noise at rest, and of the drift that the rests do not show, with its fitted size.
         """
         errors = self.y - self.common @ fit.mean[: self.common.shape[2]]
         log_factors_at_rest = np.where(

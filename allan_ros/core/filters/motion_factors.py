@@ -60,8 +60,8 @@ share of its prior standard deviation."""
 
 Part = Literal['all', 'white', 'slow']
 
-BOTH = ('gyro_white', 'gyro_slow'), ('accel_white', 'accel_slow')
-"""Names of the noise that one factor multiplies: first of the gyro, then of the accelerometer."""
+WITH_COMMON_FACTOR = ('gyro_white', 'gyro_slow'), ('accel_white', 'accel_slow')
+"""Names of the noise that has a common factor: of the gyro, and of the accelerometer."""
 
 
 @dataclass(frozen=True)
@@ -275,7 +275,7 @@ def noise_in_motion(
     if len(drives) < LEAST_DRIVES:
         return None
     data = DriveLikelihood.of(drives, noise)
-    fit_without_causes = data.fit(BOTH)
+    fit_without_causes = data.fit(WITH_COMMON_FACTOR)
     fit_with_causes, gains = _with_causes(data, fit_without_causes)
     sensors = {}
     for sensor in SENSORS:
@@ -307,7 +307,7 @@ def _with_causes(data: DriveLikelihood, fit_without_causes: Fit) -> tuple[Fit, d
             other_causes = [
                 x for x in best.causes if x != 'rotation' or not name.endswith('matrix')
             ]
-            trials[name] = data.fit(BOTH, (*other_causes, name), best)
+            trials[name] = data.fit(WITH_COMMON_FACTOR, (*other_causes, name), best)
         name = max(trials, key=lambda each: trials[each].value)
         gain = trials[name].value - best.value
         if gain < GAIN_CAUSE:
@@ -380,7 +380,7 @@ def _part(data: DriveLikelihood, fit: Fit, sensor: str) -> tuple[Part, Fit]:
     trials: dict[Part, Fit] = {}
     for part in ('white', 'slow'):
         names = (f'{sensor}_{part}',)
-        groups = tuple(names if both[0].startswith(sensor) else both for both in BOTH)
+        groups = tuple(names if both[0].startswith(sensor) else both for both in WITH_COMMON_FACTOR)
         trials[part] = data.fit(groups, fit.causes, fit)
     best, other = sorted(trials, key=lambda each: -trials[each].value)
     is_clear = trials[best].value - trials[other].value > GAIN_PART

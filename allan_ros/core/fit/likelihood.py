@@ -39,7 +39,7 @@ regular even if the data cannot tell two coefficients apart."""
 
 
 class Shape(NamedTuple):
-    """One number of the shape of a component."""
+    """One shape parameter of a component, such as its correlation time."""
 
     at: int  # index of the component
     parameter: Parameter
@@ -126,7 +126,7 @@ class LowBand(NamedTuple):
     """
 
     segments: int  # number of segments
-    line: Floats  # (contrasts,) sum of the contrasts z over the segments
+    line: Floats  # (contrasts,) sum of z over the segments
 
     # (contrasts - 1, contrasts - 1) sum of z z' over the segments, for z without the first contrast
     gram: Floats
@@ -338,11 +338,11 @@ class Interval(NamedTuple):
 
 
 def information_with_shapes(data: AxisData, fit: Fit, shapes: Sequence[Shape]) -> Floats:
-    """Return the Fisher information of the coefficients of a fit and of some numbers of shapes.
+    """Return the Fisher information of the coefficients of a fit and of shape parameters.
 
     The result is (components + shapes, components + shapes). The rows are the coefficients, then
-    the numbers of shapes. The unknown of a row of a shape is the logarithm of the number, times the
-    coefficient of the component.
+    the shape parameters ``shapes``. The unknown of a shape parameter is its logarithm times the
+    coefficient of its component.
     """
     columns = data.columns(fit.components, shapes)
     moments = data.moments(columns, np.append(fit.p, np.zeros(len(shapes))))

@@ -312,11 +312,11 @@ class _Blocks(NamedTuple):
     duration: float  # duration of a block in s
     number: int  # number of blocks
 
-    # (number,) share of the rest before the drive that lies in each block
+    # (blocks,) share of the duration of the first rest that is in each block
     first_rest_shares: Floats
     # (n,) index of the block in which each sample of the drive lies
     block_of_sample: NDArray[np.intp]
-    # (number,) share of the rest after the drive that lies in each block
+    # (blocks,) share of the duration of the last rest that is in each block
     last_rest_shares: Floats
 
     @classmethod

@@ -298,7 +298,7 @@ class MotionGate:
 
     @property
     def _is_settled(self) -> bool:
-        """Whether windows at rest belong to the present level without a check of another level."""
+        """Whether a window at rest can only belong to the present level."""
         return self._levels.other is None and bool(self._rest.floor.variance.all())
 
     def _pass(

@@ -107,7 +107,7 @@ class NoiseLevel:
         return StreamSums(sums, self._segments.items)
 
     def add(self, block: ImuBatch) -> None:
-        """Add samples at rest, which directly follow the previous samples if ``cut`` is ''."""
+        """Add samples at rest. They directly follow the previous samples if ``block.cut`` is ''."""
         if block.cut:
             self.close()
         if not len(block):

@@ -134,7 +134,7 @@ class RestFilter:
             motion.level, self._held = None, []
 
     def name_motion(self, kind: Change, samples: int) -> None:
-        """Count samples of the present motion, which is no shock, as a change of the noise."""
+        """Count the samples of the present motion, which is no shock, as a change of the noise."""
         self.drop_shock()
         counts = self._counts
         counts.moving -= samples

@@ -133,7 +133,7 @@ class Clock:
 
 
 def learned_from(stamps: Stamps) -> int:
-    """Return the number of first stamps from which the period is learned; 0 for too few stamps.
+    """Return how many stamps at the start are used to learn the period; 0 for too few stamps.
 
     ``stamps``, (n,), are the stamps received so far in ns.
 
