@@ -284,15 +284,19 @@ def bias_steps(segment: Segment, axis: int) -> BiasSteps | None:
 def step_findings(sums: AllanSums, known: Statistics, without: set[int]) -> list[Finding]:
     """Return the findings about steps of the bias in the longest segment.
 
-    ``known`` are the statistics of the sums, and ``without`` are the indices of axes that are not
-    tested. The findings state the times of the steps since the start of the recording, even if the
-    first part of the recording is excluded.
+    An axis has a finding if its steps explain enough of its random walk (`STEPS_RATIO`). ``known``
+    are the statistics of the sums, and ``without`` are the indices of axes that are not tested. The
+    findings state the times of the steps since the first used sample of the recording, gaps and
+    motions included. If the sums contain only the later periods of a recording, gaps and motions
+    before these periods are not included.
     """
     tau0 = sums.tau0 or 1.0
-    all_means = [m for r in sums.recordings for m in r.means]
-    longest = max(all_means, key=lambda m: m.samples, default=None)
+    all_means = [(r, m) for r in sums.recordings for m in r.means]
+    if not all_means:
+        return []
+    recording, longest = max(all_means, key=lambda pair: pair[1].samples)
     segment = Segment.of(known, longest, tau0)
-    if longest is None or segment is None:
+    if segment is None:
         return []
     findings = []
     for i, axis in enumerate(sums.axes):
@@ -300,7 +304,8 @@ def step_findings(sums: AllanSums, known: Statistics, without: set[int]) -> list
         if steps is not None and steps.walk_after < STEPS_RATIO * steps.walk_before:
             share = 1.0 - math.sqrt(steps.walk_after / steps.walk_before)
             size = max(abs(s) for s in steps.sizes)
-            begin = longest.age * tau0
+            first_period = recording.periods[0]
+            begin = first_period.begin * tau0 + (longest.start_ns - first_period.begin_ns) * 1e-9
             times = [duration_text(begin + (ns - longest.start_ns) * 1e-9) for ns in steps.ns]
             times_text = ', '.join(times)
             findings.append(finding('bias_steps', (axis,), size=size, share=share, at=times_text))

@@ -171,6 +171,15 @@ def test_steps_of_the_bias_are_located() -> None:
     assert later.values['at'] == '3 h, 6 h'
 
 
+def test_the_times_of_steps_include_the_gap_before_the_segment() -> None:
+    y = draw(4, 8 * HOUR)
+    y[3 * HOUR :, 1] += 100.0 * DEG_H
+    y[6 * HOUR :, 1] -= 60.0 * DEG_H
+    sums = sums_of(y[:HOUR], y[HOUR:], pause=HOUR)
+    (found,) = step_findings(sums, statistics(sums), set())
+    assert found.values['at'] == '4 h, 7 h'
+
+
 @pytest.mark.parametrize('at', [44_000, 52_000, 60_000])
 def test_the_period_within_which_the_white_noise_changes_is_excluded(at: int) -> None:
     y = draw(7, 108_000, 100.0, 'N')
