@@ -266,9 +266,10 @@ class Results(PlainResults):
             analysis; '' for no earlier run.
         margin : float, optional
             Fraction by which a coefficient may exceed a limit of the datasheet or the earlier run.
-            A coefficient exceeds a limit if its complete 95 % interval lies above
-            limit * (1 + margin). The default is the margin of the results, which is 0.2 unless it
-            was changed.
+            A coefficient exceeds a limit of the datasheet if its complete 95 % interval lies above
+            limit * (1 + margin). It exceeds the earlier run if it is significantly higher, and the
+            complete 95 % interval of the ratio of the two coefficients lies above 1 + margin. The
+            default is the margin of the results, which is 0.2 unless it was changed.
 
         Returns
         -------
@@ -314,7 +315,8 @@ class Datasheet(PlainDatasheet):
         """Return the noise model of the datasheet as results of an IMU with the sample rate in Hz.
 
         The model has the stated N and B; if the datasheet states no B, a typical B is assumed.
-        Raises AllanError if the datasheet states no N of an axis.
+        Raises AllanError if the datasheet states no N of an axis, or the rate is not a number from
+        1e-6 to 1e6.
         """
         return Results.of(results_of_datasheet(self, rate))
 
@@ -323,12 +325,13 @@ class Datasheet(PlainDatasheet):
     ) -> str:
         """Return the text of a configuration file with the noise of the datasheet.
 
-        Arguments and errors are the same as in `Results.export`. The option ``filter_rate`` in Hz
-        is also used as the sample rate of the IMU; the default is 200 Hz.
+        Arguments and errors are the same as in `Results.export`. In addition, AllanError is raised
+        if the datasheet states no N of an axis, or for ``motion=True``, because a datasheet states
+        no noise in motion. The option ``filter_rate`` in Hz is also used as the sample rate of the
+        IMU; the default is 200 Hz.
         """
-        return self.results(options.get('filter_rate') or DEFAULT_RATE_HZ).export(
-            target, path, **options
-        )
+        rate = settings_from(ExportOptions, options).filter_rate or DEFAULT_RATE_HZ
+        return self.results(rate).export(target, path, **options)
 
 
 def compared(

@@ -8,6 +8,7 @@ import math
 from dataclasses import dataclass, replace
 from typing import Annotated, Any, Literal
 
+from .errors import AllanError
 from .fields import Fields
 from .imu import UNITS, ShownUnit, to_si
 from .number_text import LIMIT_DIGITS, VALUE_DIGITS, significant
@@ -178,10 +179,16 @@ class Estimate:
         Raises
         ------
         AllanError
-            When the unit is unknown or of another kind; the message lists the possible units.
+            When ``unit`` is unknown or of another kind; the message lists the possible units. Also
+            when the estimate has no unit, such as a ratio or a coefficient in `Results.noise`.
         """
         expect(str, unit=unit)
-        present_unit = UNITS[self.unit]
+        present_unit = UNITS.get(self.unit)
+        if present_unit is None:
+            raise AllanError(
+                f'a number with the unit {self.unit!r} cannot be converted to {unit!r:.40}: take '
+                "coefficients from an axis, such as results['gyro_z'].N"
+            )
         return replace(
             self.times(present_unit.factor / to_si(1.0, unit, present_unit.si)), unit=unit
         )

@@ -12,6 +12,7 @@ from ..core.findings import finding
 from ..core.fit.result import TERMS, AxisFit, model_of_terms
 from ..core.imu import SENSORS, ImuIdentity
 from ..core.noise import FLICKER_FLOOR
+from ..core.settings import SLOWEST_HZ, check_range
 from ..readers import SourceInfo
 from ..readers.recorded import Provenance
 from .axis_result import AxisResult
@@ -36,8 +37,9 @@ def results_of_datasheet(sheet: Datasheet, rate: float = DEFAULT_RATE_HZ) -> Res
 
     ``rate`` is the sample rate of the IMU in Hz. The model has the stated N and B. If the datasheet
     states no B, B is computed from N and `CROSSING_S`. Raises AllanError if the datasheet states no
-    N of an axis.
+    N of an axis, or the rate is invalid.
     """
+    check_range(SLOWEST_HZ, 1e6, 'Hz', rate=rate)
     axes, axes_without_bias = {}, []
     for axis, terms in sheet.values().items():
         if 'N' not in terms:

@@ -43,6 +43,8 @@ def test_every_number_is_converted_to_another_unit() -> None:
     )
     with pytest.raises(AllanError, match='deg/h'):
         one.to('ug')
+    with pytest.raises(AllanError, match='take coefficients from an axis'):
+        Estimate(1.0).to('deg/h')
 
 
 @pytest.mark.parametrize(

@@ -47,6 +47,16 @@ def imu(tmp_path: Path) -> Datasheet:
     return ar.sensor(path)
 
 
+def test_an_invalid_rate_is_an_error(imu: Datasheet) -> None:
+    with pytest.raises(AllanError, match="filter_rate is 'fast'"):
+        imu.export('kalibr', filter_rate='fast')
+    with pytest.raises(AllanError, match='filter_rate is -1'):
+        imu.export('kalibr', filter_rate=-1.0)
+    for rate in (0.0, -1.0, math.nan, 'fast'):
+        with pytest.raises(AllanError, match='rate is'):
+            imu.results(rate)
+
+
 def test_a_file_from_a_datasheet_has_its_n_and_covers_its_b(imu: Datasheet) -> None:
     text = imu.export('kalibr', filter_rate=100.0)
     read = yaml.safe_load(text)
