@@ -158,15 +158,18 @@ def analyze(
         Datasheet to compare with: a name that `allan sensors` lists, or the path of a .yaml file.
     baseline : Results or path
         An earlier run of this IMU to compare with: results, or the path of a results.json, a
-        sums.json or the folder of an analysis.
+        sums.json, a checkpoint, or the folder of an analysis.
     noise : Results or path
         An earlier run of this IMU at rest, whose noise predicts the errors in motion. By default,
         the noise at rest in the source predicts these errors.
     margin : float
         Fraction by which a coefficient may exceed a limit of the datasheet or the earlier run. A
-        coefficient exceeds a limit if its complete 95 % interval lies above limit * (1 + margin).
+        coefficient exceeds a limit of the datasheet if its complete 95 % interval lies above
+        limit * (1 + margin). It exceeds the earlier run if it is significantly higher, and the
+        complete 95 % interval of the ratio of the two coefficients lies above 1 + margin.
     hardware_id : str
-        Serial number of the IMU; only results with equal serial numbers can be added.
+        Serial number of the IMU. Only results with the same serial number and frame_id can be
+        added.
     processes : int
         Number of recordings that are read at the same time, each in its own process.
     **options

@@ -289,9 +289,10 @@ Run = Mapping[str, AxisNoise]
 def differences(pairs: Iterable[tuple[str, Run, Run]]) -> list[tuple[Check, ...]]:
     """Compare the second with the first recording of each pair, and return the checks of each pair.
 
-    For each axis that both recordings have, the five terms and then the Allan deviations at common
-    averaging times are compared. The verdicts are corrected for the total number of comparisons in
-    all pairs: the probability of one or more false detections is below `FAMILY_ERROR`.
+    For each axis that both recordings have, the five terms are compared, and then the Allan
+    deviations at averaging times that both curves cover. The verdicts are corrected for the total
+    number of comparisons in all pairs: the probability of one or more false detections is below
+    `FAMILY_ERROR`.
 
     Parameters
     ----------
@@ -316,9 +317,12 @@ def _run_differences(reference: str, first: Run, second: Run) -> Iterator[Check]
 def _curve_differences(
     axis: str, reference: str, first: AxisCurve, second: AxisCurve
 ) -> Iterator[Check]:
-    """Yield a check, without a verdict, of the Allan deviations at each common averaging time.
+    """Yield checks, without verdicts, of the Allan deviations at several averaging times.
 
-    The deviations are interpolated at these averaging times.
+    The averaging times lie in the range that both curves cover. The shortest is the start of this
+    range, and each further one is longer by the factor `TAU_RATIO`. Deviations and degrees of
+    freedom are interpolated on logarithmic scales. Points of a curve with fewer than `MIN_EDF`
+    degrees of freedom are not used.
     """
     from scipy import special
 

@@ -102,8 +102,9 @@ def _open(path: Path, options: ReadOptions) -> Recording:
 def format_of(path: Path) -> str:
     """Return the name of the format of a recording, as in `FORMATS`.
 
-    The first bytes of the file determine the format. If they belong to no format, the suffix
-    determines it. Raises AllanError when the path cannot be read, or when the format is unknown.
+    A folder is a bag, whatever it contains. The first bytes of a file determine its format. If they
+    belong to no format, the suffix determines it. Raises AllanError when a file is missing, empty,
+    unreadable or of an unknown format.
     """
     if path.is_dir():
         return 'bag'

@@ -125,9 +125,9 @@ class RecordingSums:
     def temperature_readings(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
         """Return the times in ns, (n,), and values in degC, (n,), of all temperature readings.
 
-        The readings are sorted by time. For each recording, the times are header stamps if at least
-        two of the header stamps lie between the first and the last sample. Otherwise, the times are
-        record times.
+        The readings are sorted by time. The times of the readings of a recording are header stamps
+        if at least two of these stamps lie between the first and the last used sample of all
+        recordings together. Otherwise, the times are record times.
         """
         segments = self.provenance.segments
         begin = min((s.start_ns for s in segments), default=0)

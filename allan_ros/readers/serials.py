@@ -90,7 +90,8 @@ class SerialRule:
 def _custom_data(path: Path) -> Mapping[str, Any]:
     """Return the custom data in the metadata of a rosbag2; empty if the metadata contain none.
 
-    Raises AllanError if there is no metadata.yaml.
+    ``path`` is the folder of the rosbag2, or a file in this folder. Raises AllanError if the folder
+    contains no metadata.yaml, or if this file cannot be read.
     """
     folder = path if path.is_dir() else path.parent
     file = folder / METADATA

@@ -176,11 +176,12 @@ class AxisResult:
         return factors * self.tau0
 
     def part_adev(self, m: ArrayLike) -> dict[str, NDArray[np.float64]]:
-        """Return the Allan deviation of each part of the fitted model: part -> (factors,), in SI.
+        """Return the Allan deviation of each part of the fitted model in SI, in the shape of ``m``.
 
-        ``m`` are averaging factors, which are averaging times in samples. A part is a term, a
-        Gauss-Markov process or a sinusoid. Raises AllanError if ``m`` is not an array of numbers
-        above 0.
+        The result maps names of parts to Allan deviations. A part is a term, such as 'N', or one of
+        the `processes`, such as 'GM 300 s'. The effect of a low-pass filter on the Allan variance
+        is no part if it is negative. ``m`` are averaging factors, which are averaging times in
+        samples. Raises AllanError if ``m`` is not an array of numbers above 0.
 
         Examples
         --------
@@ -202,8 +203,8 @@ class AxisResult:
         """Return the Allan deviation of each term that is 0 in the model, at its 95 % upper limit.
 
         ``m`` are averaging factors, which are averaging times in samples. The result maps terms to
-        Allan deviations in SI, (factors,). Raises AllanError if ``m`` is not an array of numbers
-        above 0.
+        Allan deviations in SI, in the shape of ``m``. Raises AllanError if ``m`` is not an array of
+        numbers above 0.
         """
         model = self.fit.model
         limits = {

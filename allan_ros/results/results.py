@@ -72,8 +72,10 @@ class Results:
         Results of earlier recordings of this IMU, with which these results are compared.
     margin : float
         Fraction by which a coefficient may exceed a limit: the figure of the datasheet, or the
-        coefficient in an earlier result. A limit is exceeded if the complete 95 % interval of a
-        coefficient lies above limit * (1 + margin).
+        coefficient in an earlier result. The figure of the datasheet is exceeded if the complete
+        95 % interval of the coefficient lies above limit * (1 + margin). An earlier coefficient is
+        exceeded if the coefficient is significantly higher, and the complete 95 % interval of the
+        ratio of both lies above 1 + margin.
     motion : NoiseInMotion or None
         Errors in motion relative to the prediction from the noise at rest; None if the recordings
         have too few drives between two rests.
@@ -144,9 +146,9 @@ class Results:
 
         The first of these conditions that holds determines the verdict: 'failed' for a broken
         sensor; 'unknown' for too little data, a wrong unit of measurement, or a recording of motion
-        or of a warm-up; 'failed' for an exceeded limit; 'unknown' for another error or an undecided
-        comparison; 'measured' if there is neither a datasheet nor an earlier result to compare
-        with; 'attention' for a warning; else 'healthy'.
+        or of a warm-up; 'failed' for an exceeded limit; 'unknown' for another error, or if
+        `is_decided` is False; 'measured' if no coefficient is compared with a datasheet or an
+        earlier result; 'attention' for a warning; else 'healthy'.
         """
         ids = {finding.id for finding in self.findings}
         severities = {finding.severity for finding in self.findings}

@@ -91,7 +91,8 @@ def render_figure(figure: Figure, form: str) -> bytes:
 def sensor_figure(results: Results, sensor: str, units: str = 'deg/h') -> Figure | None:
     """Return a figure of the Allan deviations of a sensor; None if no axis has a curve.
 
-    The figure has a panel for each axis. ``units`` is 'deg/h' or 'SI'.
+    The figure has a panel for each axis with a curve. ``sensor`` is 'gyro' or 'accel', and
+    ``units`` is 'deg/h' or 'SI'.
     """
     axes = {a: results.axes[a] for a in AXES[SENSORS[sensor]] if a in results.axes}
     axes = {name: axis for name, axis in axes.items() if axis.curve is not None}

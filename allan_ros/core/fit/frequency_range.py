@@ -279,10 +279,10 @@ def _highest(rules: Selection) -> _Trial:
 def _bends_like_noise(rules: Selection) -> bool:
     """Return whether a fast Gauss-Markov process explains a spectrum that bends.
 
-    The process is fitted together with white noise, without the bins in which a sinusoid dominates.
-    Unlike with a low-pass filter, the white noise is resolved, and the highest frequencies have as
-    much power as the fit. The power is the median over the bins, on which a few sinusoids have no
-    effect.
+    The process is fitted together with the random terms, which include white noise. Bins in which a
+    sinusoid dominates are not used. Unlike with a low-pass filter, the white noise is resolved, and
+    the ratio of the power above `HIGHEST` to the power of the fit exceeds `EXPLAINED`. The ratio is
+    the median over the bins, on which a few sinusoids have no effect.
     """
     data = rules.data
     fit = _with_fast_process(rules)

@@ -176,8 +176,12 @@ class PeriodLevels:
     def joined(self, axis: int, parts: int) -> tuple[Floats, Floats]:
         """Return level and degrees of freedom of an axis for parts that consist of whole periods.
 
-        Both arrays are (n,), where n <= ``parts`` is the number of parts. The parts have nearly the
-        same number of samples, and at least `LEAST_DOF` degrees of freedom each.
+        Both arrays are (n,), where n <= ``parts`` is the number of parts; n is 0 if all periods
+        together have fewer than `LEAST_DOF` degrees of freedom. The k-th part ends with the first
+        period that completes a share of k / ``parts`` of the samples and gives the part at least
+        `LEAST_DOF` degrees of freedom. Periods after the last such period belong to the last part.
+        If the periods are short and have many degrees of freedom, the parts have nearly the same
+        number of samples.
         """
         share_until_end = np.cumsum(self.samples) / self.samples.sum()
         bounds, dof_of_part = [0], 0.0
@@ -364,8 +368,10 @@ def drift_levels(
 def present_part(sums: AllanSums, levels: PeriodLevels) -> tuple[int, tuple[int, ...]] | None:
     """Return the first period at the present level of the white noise, and the axes that changed.
 
-    Both results are indices. The result is None if no level has changed, or if the present level
-    has not lasted long enough.
+    Both results are indices. An axis has changed if N of the axis changed by more than
+    `LEAST_CHANGE` at the start of this period. The result is None if no level has changed
+    significantly by more than this, or if the present level has not lasted for the time
+    `LEAST_LAST_S` and the share `LEAST_LAST_PART` of the data.
     """
     total = levels.samples.sum()
     least_samples = max(LEAST_LAST_S / (sums.tau0 or 1.0), LEAST_LAST_PART * total)

@@ -60,7 +60,8 @@ idle if all axes of a sensor are zero or repeat the previous sample. In white no
 with a standard deviation above the resolution, 2 % of the samples are idle."""
 
 STUCK_SHARE = 0.75
-"""An axis is stuck in a window if it repeats one value for at least this share of the samples."""
+"""An axis is stuck in a window if it repeats one value, without interruption, for at least this
+share of the samples."""
 
 ROUNDING_OF_MEANS = 1e-13
 """A standard deviation below this fraction of the mean is a rounding error: no sensor has a
@@ -180,8 +181,9 @@ def idle_share(rows: Floats, size: int) -> Floats:
 def is_stuck(rows: Floats, size: int) -> Flags:
     """Return in which windows of ``size`` samples an axis repeats one value, (axes, k).
 
-    ``rows`` are the samples, (axes, n). The axis must repeat the value for at least `STUCK_SHARE`
-    of the window, and may change in the rest, for example when a fault begins or ends.
+    ``rows`` are the samples, (axes, n), and samples after the last complete window are ignored. The
+    axis must repeat the value without interruption for at least `STUCK_SHARE` of the window, and
+    may change in the rest, for example when a fault begins or ends.
     """
     windows = rows[:, : rows.shape[1] // size * size].reshape(len(rows), -1, size)
     index = np.arange(size)
