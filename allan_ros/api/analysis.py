@@ -42,8 +42,8 @@ def load(path: str | os.PathLike[str], method: str = 'likelihood') -> Results:
     ----------
     path : path
         The folder of an analysis, a results.json, a sums.json, or a checkpoint. The Allan sums in
-        a sums.json or checkpoint are fitted again. Results from a results.json alone have no Allan
-        sums, and therefore cannot be added or saved.
+        a sums.json or checkpoint are fitted again. Results from a results.json alone, or from a
+        folder without a sums.json, have no Allan sums, and therefore cannot be added or saved.
     method : str
         Method of the fit of Allan sums: 'likelihood' or 'paper', as in `analyze`.
 
@@ -54,7 +54,8 @@ def load(path: str | os.PathLike[str], method: str = 'likelihood') -> Results:
     Raises
     ------
     AllanError
-        When the file is missing or invalid.
+        When the file is missing or invalid, the files in the folder are of different analyses, or
+        the Allan sums cannot be fitted, for example because ``method`` is unknown.
 
     Examples
     --------
@@ -92,7 +93,7 @@ def results_of(
     Raises
     ------
     AllanError
-        When the path cannot be read.
+        When the path cannot be read, or its data cannot be analyzed.
     """
     expect((PlainResults, *PATH), 'results or a path', source=path)
     if isinstance(path, PlainResults):
@@ -142,8 +143,9 @@ def analyze(
         Allan sums are then added and fitted, and the recordings are not read again. Arrays are (n,)
         or (n, axes), with one row per sample.
     rate : float
-        Sample rate in Hz. It is required for samples without stamps. The rate of a recording is
-        only compared with this number; 0 disables this check.
+        Sample rate in Hz. It is required for samples without stamps. If it is given for an array, a
+        DataFrame or a mapping, it replaces their times. The rate of a recording with stamps, or of
+        an ImuBatch, is only compared with this number; 0 disables this check.
     axes : str or sequence of str, optional
         The axes of the columns of an array: a name such as ``'gyro_z'``, ``'gyro'`` or ``'accel'``
         for three axes, or a list of names. By default, one column is ``gyro_x``, three columns are
@@ -185,7 +187,8 @@ def analyze(
     Raises
     ------
     AllanError
-        When the source cannot be read, an argument is invalid, or no data at rest are found.
+        When the source cannot be read, an argument is invalid, too few data at rest are found, or
+        the sources are of different IMUs.
 
     Examples
     --------

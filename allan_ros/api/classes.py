@@ -116,7 +116,8 @@ class Results(PlainResults):
         -------
         pandas.DataFrame or list of dict
             The columns axis, term, value, ci95_low, ci95_high, upper95 and unit. The table is a
-            DataFrame if pandas is installed. Unknown numbers are None, or NaN in a DataFrame.
+            DataFrame if pandas is installed. Unknown numbers are None, or NaN in a column of a
+            DataFrame that also has known numbers.
 
         Raises
         ------
@@ -142,15 +143,16 @@ class Results(PlainResults):
         what : str
             'gyro' or 'accel' for all axes of a sensor, or the name of an axis.
         ax : matplotlib Axes, optional
-            Axes to draw into. By default, a figure with a panel for each axis of the IMU is
-            created.
+            Axes to draw into. By default, a figure with a panel for each of these axes that has a
+            curve is created.
         units : 'deg/h' or 'SI'
             Units of the figure.
 
         Returns
         -------
-        matplotlib Axes or Figure
-            The given Axes, or the created figure.
+        matplotlib Axes, Figure or None
+            The given Axes, or the created figure; None if no figure is created because no axis has
+            a curve.
 
         Raises
         ------
@@ -192,8 +194,10 @@ class Results(PlainResults):
         Raises
         ------
         AllanError
-            When the export target or an option is unknown, the target needs an axis that was not
-            measured, or the file cannot be written.
+            When the export target is unknown, an option is unknown or invalid, the results lack an
+            axis or a number that the file needs, or the file cannot be written. Without
+            ``force=True`` also when the samples are probably not in SI units, or the recording does
+            not show the noise of the sensor.
         """
         expect(str, target=target)
         text = make_export(self, target, settings_from(ExportOptions, options), finding_line).text
@@ -212,9 +216,11 @@ class Results(PlainResults):
         plots: Sequence[str] = (),
         overwrite: bool = False,
     ) -> list[Path]:
-        """Write results, report, configuration files and figures, and return their paths.
+        """Write results, sums, report, configuration files and figures, and return their paths.
 
-        `allan analyze -o` writes the same files. `load` reads the folder again.
+        `allan analyze -o` writes the same files. `load` reads the folder again. If the
+        results lack an axis or a number that a configuration file needs, or if their units are
+        probably wrong, this file is omitted, which a finding in the report states.
 
         Parameters
         ----------
@@ -255,15 +261,16 @@ class Results(PlainResults):
         baseline: PlainResults | str | os.PathLike[str] = '',
         margin: float | None = None,
     ) -> Verdict:
-        """Return a verdict on the IMU after a comparison with a datasheet or an earlier run.
+        """Return a verdict on the IMU after a comparison with a datasheet, an earlier run, or both.
 
         Parameters
         ----------
         sensor : str or Datasheet
-            A name that `allan sensors` lists, or the path of a .yaml file; '' for no datasheet.
+            A datasheet, a name that `allan sensors` lists, or the path of a .yaml file. With '',
+            the results keep the datasheet with which they were compared, if any.
         baseline : Results or path
-            An earlier run: results, or the path of a results.json, a sums.json or the folder of an
-            analysis; '' for no earlier run.
+            An earlier run: results, or the path of a results.json, a sums.json, a checkpoint or the
+            folder of an analysis. With '', the results keep their earlier runs, if any.
         margin : float, optional
             Fraction by which a coefficient may exceed a limit of the datasheet or the earlier run.
             A coefficient exceeds a limit of the datasheet if its complete 95 % interval lies above
@@ -275,13 +282,14 @@ class Results(PlainResults):
         -------
         Verdict
             ``level``, ``summary``, ``reasons`` and ``next_steps``. The level is 'healthy',
-            'attention', 'unknown' or 'failed', or 'measured' if there is neither a datasheet nor an
-            earlier run.
+            'attention', 'unknown' or 'failed', as in `Results.level`. Instead of 'healthy' or
+            'attention', it is 'measured' if no coefficient could be compared.
 
         Raises
         ------
         AllanError
-            When the datasheet or the earlier run cannot be read, or the margin is negative.
+            When the datasheet or the earlier run cannot be read, or the margin is not a number of 0
+            or more.
 
         Examples
         --------
@@ -315,8 +323,8 @@ class Datasheet(PlainDatasheet):
         """Return the noise model of the datasheet as results of an IMU with the sample rate in Hz.
 
         The model has the stated N and B; if the datasheet states no B, a typical B is assumed.
-        Raises AllanError if the datasheet states no N of an axis, or the rate is not a number from
-        1e-6 to 1e6.
+        Axes of which the datasheet states nothing are absent. Raises AllanError if the datasheet
+        states B but no N of an axis, or the rate is not a number from 1e-6 to 1e6.
         """
         return Results.of(results_of_datasheet(self, rate))
 
@@ -352,14 +360,16 @@ def compared(
     sensor : Datasheet, str or path
         A datasheet, its name or its path; '' for no new datasheet.
     baseline : Results or path
-        Results of an earlier run, or their path; '' for no earlier run.
+        Results of an earlier run, or their path, which replace the earlier runs of the results; ''
+        for no new earlier run.
     margin : float, optional
         Fraction by which a limit may be exceeded; by default, the margin of the results.
 
     Raises
     ------
     AllanError
-        When the datasheet or the earlier run cannot be read, or the margin is negative.
+        When the datasheet or the earlier run cannot be read, or the margin is not a number of 0 or
+        more.
     """
     expect((PlainResults, *PATH), 'results or a path', baseline=baseline)
     expect((PlainDatasheet, *PATH), 'a datasheet or its name', sensor=sensor)

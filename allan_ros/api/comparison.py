@@ -81,7 +81,9 @@ def compare(
         Results of `analyze` or `load`, or paths of a results.json, a sums.json, the folder of an
         analysis, a recording, or the truth file of a simulated recording. If there is a truth file,
         the other inputs are compared with the truth. In the output, each path has the name of its
-        file. Results of `analyze` or `load` have the names A, B, C ...
+        file without the suffix, or of its folder for a results.json or sums.json. If two names are
+        equal, they are the complete paths. Results of `analyze` or `load` have the names A, B, C
+        ..., according to their position; truth files are placed first.
     sensor : str or sequence of str
         Datasheets to compare each recording with: names that `allan sensors` lists, or paths of
         .yaml files.
@@ -102,13 +104,15 @@ def compare(
     RunComparison
         ``differences`` are the comparisons of each recording with the first recording, and
         ``checked`` are the results compared with the datasheets. ``differs`` states whether any
-        difference is significant or any limit is exceeded. If ``within`` is given, ``equivalent``
-        states whether the coefficients are equal up to this fraction.
+        difference is significant or any limit is exceeded. If ``within`` is not 0, ``equivalent``
+        states whether the coefficients are equal up to this fraction, and ``differs`` states
+        whether they are not, or any limit is exceeded.
 
     Raises
     ------
     AllanError
-        When an input cannot be read, or there is nothing to compare.
+        When an input cannot be read or is given twice, an argument is invalid, there is nothing to
+        compare, or an input has no axis in common with the first one.
 
     Examples
     --------
@@ -147,10 +151,11 @@ def common(*sources: Any, rate: float = 0.0, **options: Any) -> CommonResult:
 
     Parameters
     ----------
-    *sources : path, DataFrame, mapping of columns, or ImuBatch
+    *sources : path, array, DataFrame, mapping of columns, or ImuBatch
         One recording of each IMU, or a bag with one Imu topic for each IMU. If there is only one
-        IMU, its axes are compared with each other. In the output, each IMU has the name of its file
-        or topic. Samples in memory have the names A, B, C ...
+        IMU, the axes of each of its sensors are compared with each other. In the output, each IMU
+        has the name of its file, its topic, or both. Samples in memory have the names A, B, C ...,
+        according to their position.
     rate : float
         Sample rate in Hz, as in `analyze`.
     **options
@@ -163,11 +168,14 @@ def common(*sources: Any, rate: float = 0.0, **options: Any) -> CommonResult:
         that is common to the IMUs) with its interval, and the coherence with the mean of the other
         IMUs at each averaging time. With three or more IMUs, own N is measured for each IMU. With
         two IMUs, only the root mean square of the two values is measured, and is given for both.
+        Own N is None if the IMUs do not measure the common noise equally. With one IMU, ``rows``
+        contains only the coherence of each pair of axes of a sensor.
 
     Raises
     ------
     AllanError
-        When a source cannot be read, or the sources have no axis, rate or time in common.
+        When a source cannot be read, a path is given twice, an option is invalid, or the sources
+        have no axis, rate or sufficient time in common.
 
     Examples
     --------
@@ -232,7 +240,7 @@ def inflate(
     Returns
     -------
     Inflation
-        ``axes`` contains N and K of each axis with motors off and on, and their ratio, such as
+        ``axes`` contains N and K of each common axis with motors off and on, and their ratio, as in
         ``axes['gyro_x']['N'].factor``. ``factor`` is the largest factor for N of all axes.
         ``option`` is the largest factor for N of each sensor, as a value for
         `allan export --inflate`.
@@ -240,7 +248,8 @@ def inflate(
     Raises
     ------
     AllanError
-        When an input cannot be read, or the inputs have no axis in common.
+        When an input cannot be read, the inputs have no axis in common, N or K of a common axis has
+        neither a value nor a limit, or the horizon is not a number from 1e-3 to 1e9.
 
     Examples
     --------

@@ -129,10 +129,10 @@ def noise_factors(results: Results, options: ExportOptions) -> Mapping[str, Mapp
 class FilterNoise:
     """The noise of one IMU in the convention of one target, with one set of options.
 
-    The constructor raises AllanError if the results have no sample rate. Unless ``options.force``
-    is set, it also raises AllanError if a finding in `REFUSED` is present. The methods raise
-    AllanError if a sensor that they need is absent, or if a coefficient that they need has neither
-    a value nor a limit.
+    The constructor raises AllanError if the results have no sample rate, or if ``options.motion``
+    is set and the results have no factors in motion. Unless ``options.force`` is set, it also
+    raises AllanError if a finding in `REFUSED` is present. The methods raise AllanError if an axis
+    that they need is absent, or if a coefficient that they need has neither a value nor a limit.
 
     Attributes
     ----------

@@ -79,7 +79,7 @@ class Drift(NamedTuple):
 def against(
     results: Results, target: Target, text: str, options: ExportOptions = ExportOptions()
 ) -> tuple[Drift, ...]:
-    """Return the drift of each axis according to the user's file and to the measured model.
+    """Return the drift of each measured axis according to the user's file and to the model.
 
     Parameters
     ----------
@@ -97,7 +97,8 @@ def against(
     Raises
     ------
     AllanError
-        If the text lacks a number of the target, or the target has no noise model in its file.
+        If the text lacks a number of the target, has several values or an invalid value of it, or
+        the target has no noise model in its file; also under the conditions of `FilterNoise`.
     """
     noise = FilterNoise(results, options, target)
     window = noise.horizon

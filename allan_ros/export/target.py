@@ -156,7 +156,7 @@ class Row:
 
     @property
     def values(self) -> tuple[float, ...]:
-        """The value as a tuple: one number, or three numbers for x, y and z."""
+        """The value as a tuple: one number, three for x, y and z, or the nine of a matrix."""
         return tuple(self.value) if isinstance(self.value, list) else (self.value,)
 
     @property

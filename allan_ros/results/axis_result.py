@@ -36,7 +36,7 @@ class AxisResult:
     Attributes
     ----------
     tau0 : float
-        Sample period in s.
+        Sample period in s; after `fit` of lists tau and adev, the first averaging time.
     fit : AxisFit
         The fitted coefficients and noise processes, in SI.
     curve : AxisCurve or None
@@ -46,13 +46,14 @@ class AxisResult:
     name : str
         Name of the axis, such as 'gyro_z'.
     rounding : float or None
-        Step to which the samples are rounded, in SI; None if rounding causes less than a tenth of
-        the white noise.
+        Step to which the samples are rounded, in SI; None if no step is found, or if the variance
+        of its rounding error is less than a tenth of the variance of the white noise, or exceeds
+        it by 5 %.
     turn_on : TurnOnBias or None
         Scatter of the bias between recordings; None for fewer than two recordings.
     temperature : TemperatureModel or None
-        Bias as a function of temperature; None if no temperature was recorded, or it varied too
-        little or in one direction only.
+        Bias as a function of temperature; None if no temperature was recorded, if it varied too
+        little or in one direction only, or if the data do not suffice for a model.
     at_rest : AtRest or None
         Mean (bias, plus gravity for an accelerometer), drift and bandwidth of the samples; None if
         the samples are unknown, for example if only a curve was fitted.
@@ -135,7 +136,8 @@ class AxisResult:
         Raises
         ------
         AllanError
-            When N has neither a value nor a limit.
+            When N has neither a value nor a limit, or when the model has no drift and K has neither
+            a value nor a limit.
 
         Examples
         --------
@@ -150,8 +152,8 @@ class AxisResult:
     def growth(self) -> tuple[Growth, ...]:
         """Predicted standard deviation of the angle error (rad) or velocity error (m/s).
 
-        There is one prediction, with its 95 % interval, for each of several times after the last
-        correction by another sensor.
+        There is one prediction, with its 95 % interval if it is known, for each of several times
+        after the last correction by another sensor.
         """
         return growth_table(self.fit)
 
@@ -180,8 +182,8 @@ class AxisResult:
 
         The result maps names of parts to Allan deviations. A part is a term, such as 'N', or one of
         the `processes`, such as 'GM 300 s'. The effect of a low-pass filter on the Allan variance
-        is no part if it is negative. ``m`` are averaging factors, which are averaging times in
-        samples. Raises AllanError if ``m`` is not an array of numbers above 0.
+        is no part if it is negative at any ``m``. ``m`` are averaging factors, which are averaging
+        times in samples. Raises AllanError if ``m`` is not an array of numbers above 0.
 
         Examples
         --------
@@ -200,11 +202,11 @@ class AxisResult:
         return {name: np.sqrt(avar) for name, avar in parts.items() if np.all(avar >= 0.0)}
 
     def limit_adev(self, m: ArrayLike) -> dict[str, NDArray[np.float64]]:
-        """Return the Allan deviation of each term that is 0 in the model, at its 95 % upper limit.
+        """Return the Allan deviation of terms that are 0 in the model, at their 95 % upper limits.
 
-        ``m`` are averaging factors, which are averaging times in samples. The result maps terms to
-        Allan deviations in SI, in the shape of ``m``. Raises AllanError if ``m`` is not an array of
-        numbers above 0.
+        Terms without a finite limit are absent. ``m`` are averaging factors, which are averaging
+        times in samples. The result maps terms to Allan deviations in SI, in the shape of ``m``.
+        Raises AllanError if ``m`` is not an array of numbers above 0.
         """
         model = self.fit.model
         limits = {
@@ -322,7 +324,9 @@ def fit(
     Raises
     ------
     AllanError
-        When the axis is unknown, or the curve has too few points.
+        When the axis is unknown, the curve is not a pair of equally long lists with positive tau or
+        has several columns, the curve has too few points, or ``record`` is less than twice the
+        longest averaging time.
 
     Examples
     --------

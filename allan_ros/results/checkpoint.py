@@ -86,9 +86,9 @@ class Checkpoint:
 
     @property
     def covered(self) -> tuple[tuple[int, int], ...]:
-        """A pair with the first and the latest stamp, in ns, of the samples in the file.
+        """One pair with the first and the latest stamp, in ns, of the samples of earlier runs.
 
-        The tuple is empty if the file contains no samples.
+        The tuple is empty if there are no such samples.
         """
         sums, provenance = self.earlier
         starts_ns = [p.begin_ns for s in sums for r in s.recordings for p in r.periods]

@@ -32,8 +32,9 @@ independent noise, and positive for common noise of parallel axes."""
 class CommonResult:
     """Noise that several IMUs on one body, or the axes of one IMU, have in common.
 
-    ``rows`` has a `CommonNoise` for each axis of each IMU, or for each pair of axes of a single
-    IMU. ``findings`` maps the label of each IMU to the findings about its recording.
+    ``rows`` has a `CommonNoise` for each common axis of each IMU, or for each pair of axes of a
+    sensor of a single IMU. ``findings`` maps the label of each IMU to the findings about its
+    recording.
     """
 
     rows: tuple[CommonNoise, ...]
@@ -67,7 +68,8 @@ def common_of(recordings: Mapping[str, Recording], settings: SegmenterSettings) 
     Raises
     ------
     AllanError
-        When the recordings have no axis or no time in common, or one of them cannot be read.
+        When the recordings have no axis or rate or too little time in common, or one of them cannot
+        be read.
     """
     samples_of_imus: list[dict[str, Samples]] = []
     findings: dict[str, tuple[Finding, ...]] = {}

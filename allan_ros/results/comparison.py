@@ -27,7 +27,8 @@ class RunComparison:
     """Comparison of several recordings with the first recording, and with datasheets.
 
     ``str(comparison)`` has a sentence for each recording except the first, and for each comparison
-    with a datasheet.
+    with a datasheet. If ``within`` is not 0, a further sentence for each recording except the first
+    states whether it is equal.
 
     Attributes
     ----------
@@ -36,7 +37,7 @@ class RunComparison:
     differences : mapping of label to tuple of Check
         Comparisons with the first recording, for each of the other recordings.
     checked : tuple of (label, Results)
-        Results of each recording, compared with a datasheet; one pair for each datasheet.
+        Results compared with a datasheet; one pair for each recording and each datasheet.
     family_error : float
         Probability of at least one significant difference if all recordings have equal noise.
     within : float

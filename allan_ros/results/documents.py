@@ -150,7 +150,7 @@ def sums_file_to_document(sums: Iterable[AllanSums], provenance: Provenance) -> 
 def fingerprint(document: Mapping[str, Any]) -> str:
     """Return a hash of the Allan sums in the document of a sums.json.
 
-    Recordings with equal samples have equal hashes.
+    Equal Allan sums, which include stamps and the identity of the IMU, have equal hashes.
     """
     text = to_json({'sums': document.get('sums')})
     return hashlib.sha256(text.encode()).hexdigest()[:16]
@@ -175,8 +175,8 @@ def load(path: str | os.PathLike[str], method: str = 'likelihood') -> Results:
     """Read the results of an earlier analysis from its folder, a results.json, or a sums.json.
 
     If only a sums.json is read, its Allan sums are fitted again by ``method``. Raises AllanError
-    when the file is missing or invalid, or when the results.json and the sums.json in a folder are
-    of different analyses.
+    when the file is missing or invalid, when the results.json and the sums.json in a folder are of
+    different analyses, or when the Allan sums cannot be fitted.
     """
     expect(PATH, 'a path', path=path)
     document_path = Path(path)

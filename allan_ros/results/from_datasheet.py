@@ -36,8 +36,9 @@ def results_of_datasheet(sheet: Datasheet, rate: float = DEFAULT_RATE_HZ) -> Res
     """Return the noise model of a datasheet as the results of an IMU.
 
     ``rate`` is the sample rate of the IMU in Hz. The model has the stated N and B. If the datasheet
-    states no B, B is computed from N and `CROSSING_S`. Raises AllanError if the datasheet states no
-    N of an axis, or the rate is invalid.
+    states no B, B is computed from N and `CROSSING_S`. Axes of which the datasheet states nothing
+    are absent. Raises AllanError if the datasheet states B but no N of an axis, or the rate is
+    invalid.
     """
     check_range(SLOWEST_HZ, 1e6, 'Hz', rate=rate)
     axes, axes_without_bias = {}, []

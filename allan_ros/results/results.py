@@ -53,7 +53,8 @@ class Results:
     identity : ImuIdentity
         The frame_id and the serial number of the IMU.
     method : str
-        Method of the fit: 'likelihood' or 'paper'.
+        Method of the fit: 'likelihood' or 'paper'; 'datasheet' or 'truth' for noise that was not
+        measured.
     tau0, duration_s : float
         Sample period, and total time of all used samples, in s. If gyro and accelerometer have
         different rates, these numbers describe the sensor with more samples.
@@ -65,7 +66,8 @@ class Results:
     provenance : Provenance
         The recordings, their segments and counts of samples, and the settings.
     findings : tuple of Finding
-        Messages about the recording, the fit, and the comparison with a datasheet.
+        Messages about the recording, the fit, the errors in motion, and the comparison with a
+        datasheet.
     datasheet : Datasheet or None
         The datasheet with which the coefficients are compared; None if there is none.
     baselines : mapping of name to Results
@@ -78,7 +80,7 @@ class Results:
         ratio of both lies above 1 + margin.
     motion : NoiseInMotion or None
         Errors in motion relative to the prediction from the noise at rest; None if the recordings
-        have too few drives between two rests.
+        have too few drives between two rests, or if the noise at rest is not known well enough.
     recorded : RecordingSums or None
         The Allan sums to which the coefficients were fitted; None if the sums are unknown, for
         example if only a results.json was read.
@@ -178,7 +180,8 @@ class Results:
     def time_to_record(self) -> tuple[float, tuple[str, ...]] | None:
         """The recommended length of a recording in s, and the terms that it is expected to resolve.
 
-        None if the present recording is long enough, or the method is not 'likelihood'.
+        None if a longer recording is not useful or would have to be longer than 24 hours, or if the
+        method is not 'likelihood'.
         """
         if self.method != 'likelihood':
             return None
@@ -217,7 +220,7 @@ class Results:
     def datasheet_checks(self) -> tuple[Check, ...]:
         """The comparisons of all coefficients that have a limit in the datasheet, by axis and term.
 
-        The verdict is 'undecided' if the data at rest are shorter than `TOO_SHORT_S`.
+        All verdicts are 'undecided' if the data at rest are shorter than `TOO_SHORT_S`.
         """
         sheet = self.datasheet
         checks = () if sheet is None else against_datasheet(self.noise, sheet, self.margin)
