@@ -34,7 +34,12 @@ from support.simulate_drives import MotionErrors, Route, SimulatedDrives, simula
 import allan_ros as ar
 from allan_ros.core.estimate import Estimate
 from allan_ros.core.filters.drive_likelihood import DriveLikelihood, NoiseAtRest
-from allan_ros.core.filters.motion_factors import BOTH, LIMIT, NoiseInMotion, noise_in_motion
+from allan_ros.core.filters.motion_factors import (
+    WITH_COMMON_FACTOR,
+    LIMIT,
+    NoiseInMotion,
+    noise_in_motion,
+)
 from allan_ros.core.imu import ImuBatch
 from allan_ros.core.noise import Model
 from allan_ros.core.stream.drives import ROTATION, VELOCITY, Drive, DriveErrors, Rest, drive_errors
@@ -141,7 +146,7 @@ def predicted_errors(
     """
     whole = DriveLikelihood.of([*used, *others], noise)
     data, predicted = part(whole, slice(0, len(used))), part(whole, slice(len(used), None))
-    plain = data.fit(BOTH)
+    plain = data.fit(WITH_COMMON_FACTOR)
     largest_log_factors = [LIMIT * data.unknown.get(names[0], 0.0) for names in plain.groups]
     log_factors_at_rest = np.minimum(plain.log_factors, largest_log_factors)
     log_factors_at_rest[:2] = 0.0
@@ -150,7 +155,7 @@ def predicted_errors(
     for fit in (
         plain._replace(log_factors=log_factors_at_rest),
         plain,
-        data.fit(BOTH, causes, plain),
+        data.fit(WITH_COMMON_FACTOR, causes, plain),
     ):
         u = predicted.all_effects(fit.causes)
         residuals = (predicted.y - u @ fit.mean)[:, rows]

@@ -202,14 +202,12 @@ def show_sixths(records: int, seed: int) -> Iterator[tuple[str, ...]]:
                         total += float(weight @ (x - np.average(x, weights=weight)) ** 2)
                         freedom += len(x) - 1
                     for a in each:
-                        for b in known:
-                            if a is b:
-                                continue
+                        for value in (b.value or 0.0 for b in known if b is not a):
                             if a.resolved and a.ci95:
-                                inside += a.ci95[0] <= b.value <= a.ci95[1]
+                                inside += a.ci95[0] <= value <= a.ci95[1]
                                 pairs += 1
                             elif a.upper95:
-                                above += a.upper95 >= b.value
+                                above += a.upper95 >= value
                                 limits += 1
                 chi = f'{total / freedom:.2f} ({freedom})' if freedom else ''
                 yield (
