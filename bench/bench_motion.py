@@ -35,8 +35,8 @@ import allan_ros as ar
 from allan_ros.core.estimate import Estimate
 from allan_ros.core.filters.drive_likelihood import DriveLikelihood, NoiseAtRest
 from allan_ros.core.filters.motion_factors import (
-    WITH_COMMON_FACTOR,
     LIMIT,
+    WITH_COMMON_FACTOR,
     NoiseInMotion,
     noise_in_motion,
 )
