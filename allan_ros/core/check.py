@@ -103,7 +103,8 @@ class Check:
         The measured number. It has neither value nor limit if only the ratio is known.
     lower, upper : float or None
         The limits; None for no limit. In a comparison with another recording, ``upper`` is the
-        value or the upper limit from the other recording.
+        value or the upper limit from the other recording; None if that number is 'likely' or
+        unknown.
     ratio : Estimate
         Ratio of the measured number to ``upper``. If only one of two recordings resolves the
         number, the ratio has no value, and its interval (if any) begins at 0 or ends at infinity.
@@ -200,7 +201,7 @@ class Check:
         return replace(self, verdict=verdict)
 
     def document(self) -> dict[str, Any]:
-        """Return the check as a JSON object."""
+        """Return the check as a JSON object, without its note."""
         return {
             'axis': self.axis,
             'quantity': self.quantity,

@@ -180,7 +180,8 @@ class Estimate:
         ------
         AllanError
             When ``unit`` is unknown or of another kind; the message lists the possible units. Also
-            when the estimate has no unit, such as a ratio or a coefficient in `Results.noise`.
+            when ``unit`` is no text, or the estimate has no unit, such as a ratio or a coefficient
+            in `Results.noise`.
         """
         expect(str, unit=unit)
         present_unit = UNITS.get(self.unit)
@@ -194,7 +195,12 @@ class Estimate:
         )
 
     def document(self) -> dict[str, Any]:
-        """Return the estimate as a JSON object; unknown numbers are None."""
+        """Return the estimate as a JSON object, without name, unit and axis.
+
+        Unknown numbers are None, except that an unknown lower limit has no key. ``ci95`` is the
+        interval that is shown; ``recording_ci95`` is a key only if the predictive interval is
+        known.
+        """
         numbers: dict[str, Any] = {'value': self.value, 'ci95': self.ci95}
         if self.predictive_ci95 is not None:
             numbers['recording_ci95'] = self.recording_ci95
@@ -207,8 +213,8 @@ class Estimate:
         """Return the estimate that `document` wrote as a JSON object.
 
         Name, unit and axis are not stored; missing numbers are None. With ``signed``, the value and
-        the lower limit may be negative. Raises AllanError if a number is invalid, or if the status
-        is missing or unknown.
+        the lower limit may be negative. Raises AllanError if a number or an interval is invalid, if
+        the status is missing or unknown, or if there is only ``recording_ci95`` without ``ci95``.
         """
         least = -MAX_FLOAT if signed else 0.0
 
@@ -256,7 +262,8 @@ def value_text(estimate: Estimate, unit: ShownUnit) -> str:
 def interval_text(estimate: Estimate, unit: ShownUnit) -> str:
     """Return the 95 % interval of an estimate as ``low..high``.
 
-    The text is '' if the number is not resolved, has no interval, or is known exactly.
+    The text is '' if the status is not 'estimated', or if the number has no interval or is known
+    exactly.
 
     >>> interval_text(Estimate(-2.0, (-2.5, -1.5)), ShownUnit('', 1.0))
     '-2.50..-1.50'

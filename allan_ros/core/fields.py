@@ -24,7 +24,7 @@ from .settings import MAX_FLOAT
 T = TypeVar('T')
 
 MAX_INTEGER = 2**62
-"""Largest magnitude of counts and stamps: the sum of two such numbers fits into 64 bits."""
+"""Counts and stamps must be below this number: the sum of two of them fits into 64 bits."""
 
 MAX_TEXT = 100_000
 """Largest number of characters in a text, unless the reader of a key gives a smaller limit."""
@@ -74,8 +74,9 @@ def located(where: str) -> Iterator[None]:
 class Fields:
     """One JSON object, whose values are checked when they are read.
 
-    Every method that reads a value raises AllanError if the value is missing, of another type or
-    out of range. The message states the position of the value in the document.
+    Every method that reads a value raises AllanError if the value is of another type or out of
+    range. It also does so if the value is missing, except where the method states what is returned
+    then. The message states the position of the value in the document.
 
     Parameters
     ----------
@@ -123,7 +124,7 @@ class Fields:
     def text(self, key: str, default: object = _REQUIRED, longest: int = MAX_TEXT) -> str:
         """Return the text under a key, of at most ``longest`` characters.
 
-        If the key is missing, the result is ``default``.
+        If the key is missing, the result is ``default``; AllanError is raised without a default.
         """
         value = str(self._get(key, str, 'a text', default))
         if len(value) > longest:
@@ -138,14 +139,14 @@ class Fields:
         return value
 
     def integer(self, key: str, least: int = -MAX_INTEGER) -> int:
-        """Return the whole number under a key, which must be at least ``least``."""
+        """Return the whole number under a key, at least ``least`` and below `MAX_INTEGER`."""
         value = int(self._get(key, int, 'a whole number'))
         if not least <= value < MAX_INTEGER:
             raise self._wrong(key, value, f'a whole number from {least} to {MAX_INTEGER}')
         return value
 
     def number(self, key: str, least: float = -MAX_FLOAT) -> float:
-        """Return the finite number under a key, which must be at least ``least``."""
+        """Return the number under a key, at least ``least`` and of at most `MAX_FLOAT`."""
         value = self._number(key, self._get(key, (int, float), 'a number'))
         if value < least:
             raise self._wrong(key, value, f'a number of at least {least:g}')
@@ -223,9 +224,9 @@ class Fields:
         """Return a dataclass or named tuple of type ``kind`` with the values of this object.
 
         If ``kind`` has a method ``from_document``, the result of this method is returned. Otherwise
-        the value of each field is read from the key with the name of the field, as the annotated
-        type. Fields in ``known`` get the values given there. Keys of fields with a default may be
-        missing.
+        the value of each field is read from the key with the name of the field, or from its key in
+        the names of this object, as the annotated type. Fields in ``known`` get the values given
+        there. Keys of fields with a default may be missing.
         """
         if (from_document := getattr(kind, 'from_document', None)) is not None:
             read: T = from_document(self)
@@ -242,7 +243,8 @@ class Fields:
 
         Possible types are str, bool, int, float, `Signed`, `SignedInt`, Literal, a pair of floats,
         an array, a mapping of names to floats, a dataclass or named tuple, and a tuple of strings,
-        of tuples of floats or of dataclasses. Each type may be combined with None.
+        of tuples of floats or of dataclasses. Each type may be combined with None, which is the
+        result for null and for a missing key.
         """
         may_be_negative = get_origin(hint) is Annotated
         hint = get_args(hint)[0] if may_be_negative else hint

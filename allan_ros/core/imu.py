@@ -141,7 +141,8 @@ def joined(batches: Sequence[ImuBatch], copy: bool = False) -> ImuBatch:
     Batches without samples are ignored. The result has the ``cut`` of the first batch and the
     frame_id of the last batch, and the samples of each axis are contiguous in memory. The record
     times are None unless all batches have record times. If only one batch has samples, this batch
-    itself is returned, or a copy if ``copy`` is set.
+    itself is returned unchanged, and if no batch has samples, the first batch. If ``copy`` is set,
+    a copy is returned instead.
     """
     parts = [part for part in batches if len(part)] or list(batches[:1])
     if len(parts) == 1 and not copy:

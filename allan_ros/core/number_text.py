@@ -15,7 +15,8 @@ VALUE_DIGITS, LIMIT_DIGITS = 4, 3
 def significant(value: float, digits: int) -> str:
     """Return a number rounded to ``digits`` significant digits, with trailing zeros.
 
-    Magnitudes below 1e-4, or of 1e6 or more, are in exponential notation.
+    Rounded magnitudes below 1e-4, or of 1e6 or more, are in exponential notation. Zero, NaN and
+    infinity have no digits: '0', 'nan' and 'inf'.
 
     >>> significant(0.24199, 4), significant(31.8, 4), significant(12345.6, 3)
     ('0.2420', '31.80', '12300')
@@ -44,7 +45,8 @@ def duration_text(seconds: float, digits: int = 2) -> str:
 def prefixed(unit: ShownUnit, size: float) -> ShownUnit:
     """Return ``unit``, or this unit with a larger prefix if ``size`` would be 1000 or more in it.
 
-    ``size`` is a value in SI.
+    ``size`` is a value in SI. Only the prefixes u and m of units that begin with g, rad or m/ are
+    replaced; any other unit is returned unchanged.
 
     >>> prefixed(ShownUnit('ug', 1e6 / 9.80665), 0.0274).name
     'mg'

@@ -88,7 +88,8 @@ this dict of which the default of the setting is an instance."""
 def expect(kind: Any, called: str = '', /, **values: object) -> None:
     """Raise AllanError for the first keyword argument whose value is not of the type ``kind``.
 
-    ``kind`` is a type or a tuple of types. ``called`` is the name of the expected type in the
+    ``kind`` is a type or a tuple of types. True and False are valid only if ``kind`` is bool, so
+    they are not accepted as numbers. ``called`` is the name of the expected type in the
     message, by default from `EXPECTED`.
     """
     for name, value in values.items():
@@ -109,7 +110,7 @@ def choose(choices: Collection[str], **values: object) -> None:
 def check_names(given: Iterable[str], known: Sequence[str]) -> None:
     """Raise AllanError for the first name in ``given`` that is not in ``known``.
 
-    The message suggests the most similar known name.
+    The message suggests the most similar known name, or lists all known names if none is similar.
     """
     for name in given:
         if name not in known:
@@ -130,8 +131,9 @@ def settings_from(kind: type[T], given: Mapping[str, Any]) -> T:
 class CheckedSettings:
     """Base class of settings dataclasses; checks all values when an object is created.
 
-    Raises AllanError unless every value has the type of its default and lies in its range. The text
-    'auto', which some settings accept, is stored as the number -1 (`AUTO`).
+    Raises AllanError unless every value has the type of its default, lies in its range and is one
+    of its choices. The text 'auto', which some settings accept, is stored as the number -1
+    (`AUTO`).
     """
 
     def __post_init__(self) -> None:
@@ -167,7 +169,8 @@ def check_range(low: float | None, high: float | None, unit: str = '', /, **valu
     Parameters
     ----------
     low, high : float or None
-        Smallest and largest valid value; None for no limit. NaN and infinity are never valid.
+        Smallest and largest valid value; None for -`MAX_FLOAT` or `MAX_FLOAT`. NaN and infinity
+        are never valid.
     unit : str
         Unit of the limits, for the message.
     values : object

@@ -72,7 +72,8 @@ class AtRest:
         Difference between the largest and the smallest of up to 16 means of equal length. The
         difference includes the noise of the means. None if there are fewer than two means.
     temperature : float or None
-        Mean temperature in degC; None if it was not recorded.
+        Mean temperature in degC during the means of the drift; None if there are fewer than two
+        readings, or if the readings cover none of the means.
     slope : Estimate or None
         Change of the means per K, by least squares. A drift with time is not separated from the
         effect of the temperature. None if the temperature varied by less than 3 K, or is known for
@@ -213,7 +214,7 @@ def _slope(celsius: Floats, values: Floats) -> Estimate | None:
 
     ``celsius`` are the temperatures of the values in degC. The 95 % interval takes into account
     that the residuals are correlated in time: it assumes a first-order autoregressive process with
-    the measured correlation of neighboring residuals.
+    the measured correlation of neighboring residuals, limited to 0 .. 0.9.
     """
     n = len(celsius)
     if n < 4 or float(np.ptp(celsius)) < LEAST_RANGE_K:
@@ -258,8 +259,10 @@ def _bandwidth(spectra: Spectra, i: int, white: float | None, tau0: float | None
 
 
 def rounding_step(sums: AllanSums, axis: int, white: float) -> float | None:
-    """Return the step to which the samples of an axis are rounded, or None if it is negligible.
+    """Return the step to which the samples of an axis are rounded, or None.
 
+    The result is None if no step is found, if the step is negligible (`ROUNDING_SHARE`), or if the
+    rounding errors of successive samples are not independent (`LARGEST_SHARE`).
     ``white`` is the variance of the white noise of a sample. If the rounding errors of successive
     samples are independent, this variance contains the variance step^2/12 of these errors. A
     counter that carries its remainder to the next sample has less white noise: its rounding error
@@ -272,8 +275,9 @@ def rounding_step(sums: AllanSums, axis: int, white: float) -> float | None:
 
 
 def any_step(sums: AllanSums, axis: int, deviation: float) -> float | None:
-    """Return the step of which all sums of samples of an axis are multiples, or None.
+    """Return the step of which the sums of samples of an axis are multiples, or None.
 
+    Only the sums up to the end of each block mean of the longest segment are considered.
     ``deviation`` is as for `common_step`.
     """
     means = [m for r in sums.recordings for m in r.means]
@@ -287,9 +291,12 @@ def any_step(sums: AllanSums, axis: int, deviation: float) -> float | None:
 def common_step(phase: Floats, deviation: float) -> float | None:
     """Return the largest step of which all phase values are multiples, or None if there is none.
 
-    If the samples are rounded, this is the rounding step. ``phase``, (n,), contains cumulative sums
-    of samples. ``deviation`` is the standard deviation of the white noise of a sample: steps below
-    `NEGLIGIBLE_STEP` times ``deviation`` are ignored. All numbers have the unit of the samples.
+    None is also returned if there are fewer than `LEAST_POINTS` different values, or if
+    ``deviation`` is not above 0. If the samples are rounded, the result is the rounding step.
+
+    ``phase``, (n,), contains cumulative sums of samples. ``deviation`` is the standard deviation of
+    the white noise of a sample: steps below `NEGLIGIBLE_STEP` times ``deviation`` are ignored. All
+    numbers have the unit of the samples.
     """
     least_step = NEGLIGIBLE_STEP * deviation
     # The sums of two blocks of samples differ by a few steps, which numerical errors hardly change.

@@ -76,11 +76,12 @@ class CommonNoise:
         Correlation of the second differences of the axis with the second differences of the mean of
         the other IMUs, or of the other axis. It is 0 for independent noise, and 1 for common noise.
     measured : Estimate or None
-        N of the axis in SI, including common noise. None if two axes are compared.
+        N of the axis in SI, including common noise. None if two axes are compared, or if the
+        samples are constant.
     own : Estimate or None
         N in SI without the noise that all IMUs measure equally. With two IMUs, only the root mean
-        square of both values is known, and is given for both. None if two axes are compared, or
-        if the IMUs do not measure the common noise equally.
+        square of both values is known, and is given for both. None if two axes are compared, if
+        the samples are constant, or if the IMUs do not measure the common noise equally.
     gain : float
         Factor with which the IMU measures the common noise; the geometric mean of the factors of
         all IMUs is 1.

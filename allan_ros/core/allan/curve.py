@@ -153,10 +153,11 @@ QUANTIZATION_SLOPE = -1.5
 def noise_types_of_avar(m: Ints, avar: Floats, samples: int) -> Ints:
     """Return the noise type at each averaging factor from the slope of the Allan variance.
 
-    The type is the exponent alpha = -1 - mu of the spectrum, where mu is the slope of log avar over
-    log tau (NIST SP 1065 table 4). A slope of -2 is classified as white phase noise, which in an
-    IMU is quantization. If the slope is unknown, or the recording is shorter than 16 averaging
-    times, the type at the previous factor is used, and white noise (0) at the first factor.
+    The type is the exponent alpha = -1 - mu of the spectrum, rounded and at least -2, where mu is
+    the slope of log avar over log tau (NIST SP 1065 table 4). A slope below -1.5 is classified as
+    white phase noise, which in an IMU is quantization. If the slope is unknown, or the recording is
+    shorter than 16 averaging times, the type at the previous factor is used, and white noise (0) at
+    the first factor.
 
     Parameters
     ----------
@@ -279,7 +280,7 @@ class AllanCurve(AxisCurve):
 
 
 def sample_period(sums: AllanSums) -> float:
-    """Return the sample period in s; raise `AllanError` if the sums have fewer than two samples."""
+    """Return the sample period in s; raise `AllanError` if no segment has two samples."""
     if sums.tau0 is None:
         raise AllanError('an Allan curve needs at least two samples: record for some minutes')
     return sums.tau0
@@ -291,7 +292,7 @@ def allan_curve(sums: AllanSums) -> AllanCurve:
     Raises
     ------
     AllanError
-        If the sums have fewer than two samples.
+        If no segment has two samples.
     """
     tau0 = sample_period(sums)
     has_data = sums.count > 0
@@ -408,7 +409,10 @@ class Spectrum:
 
 
 def noise_density(sums: AllanSums) -> Spectrum | None:
-    """Return the power spectral density of the samples; None without a complete spectral block."""
+    """Return the power spectral density of the samples; None if it is unknown.
+
+    It is unknown without a complete spectral block, or if the sample period is unknown or 0.
+    """
     spectra = pooled_spectra(sums)
     used_bins = np.flatnonzero(spectra.dof > 0.0)
     if not len(used_bins) or not sums.tau0:

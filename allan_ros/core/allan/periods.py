@@ -221,10 +221,11 @@ def bounded(recordings: Iterable[RecordedPeriods]) -> tuple[RecordedPeriods, ...
 def bounded_means(
     means_of_recordings: Sequence[Sequence[BlockMeans]],
 ) -> list[tuple[BlockMeans, ...]]:
-    """Return the block means of the longest segments of each recording, at a common step.
+    """Return the block means of the longest segments of all recordings, at a common step.
 
-    ``means_of_recordings`` are the block means of each recording. The result contains at most
-    `MAX_MEANS` means for all recordings together.
+    ``means_of_recordings`` are the block means of each recording, and the result has the same
+    order. It contains at most `KEPT_SEGMENTS` segments with at least `MIN_MEANS` means each, and at
+    most `MAX_MEANS` means, for all recordings together.
     """
     segments = [(m, i) for i, means in enumerate(means_of_recordings) for m in means]
     segments = sorted(segments, key=lambda s: (-s[0].samples, s[0].start_ns))[:KEPT_SEGMENTS]

@@ -41,7 +41,8 @@ LENGTH_CLASS_RATIO = 1.1
 segments in each class, not the length of each segment."""
 
 TAU0_TOLERANCE = 1e-3
-"""Largest relative difference between the sample periods of two `AllanSums` that can be added."""
+"""Largest relative difference between the sample periods of two `AllanSums` that can be added, in
+addition to the uncertainty of the periods."""
 
 Lengths = tuple[tuple[int, int], ...]
 """Total number of samples, and number of segments, of each length class, shortest segments
@@ -132,7 +133,7 @@ class AllanSums(ByValue):
 
     @property
     def tau0(self) -> float | None:
-        """Sample period in seconds; None with fewer than two samples."""
+        """Sample period in seconds; None if no segment has two samples."""
         return self.elapsed_ns / self.intervals * 1e-9 if self.intervals else None
 
     @property
@@ -254,12 +255,14 @@ def add_sums(a: Sequence[AllanSums], b: Sequence[AllanSums]) -> tuple[AllanSums,
 
 
 def check_same_imu(a: Sequence[AllanSums], b: Sequence[AllanSums]) -> None:
-    """Check that two recordings are of the same IMU, and have equal rates on their common axes.
+    """Check that two recordings have the same IMU and equal rates on their common axes.
+
+    Recordings without a common axis are not compared.
 
     Raises
     ------
     AllanError
-        If the IMU or the rate of a common axis differs.
+        If the IMU or the rate of a common axis differs (see `AllanSums.check_addable`).
     """
     for x, y in product(a, b):
         if not set(x.axes).isdisjoint(y.axes):

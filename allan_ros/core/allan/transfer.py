@@ -73,7 +73,7 @@ def transfer(parts: Sequence[Floats]) -> Transfer:
     The leak is the share of the common signal in differences of sensors (`Transfer`). ``parts`` are
     samples without gaps in any unit, each (sensors, n). The factors are 1 if the share of the
     common signal in the differences is below `LARGEST_LEAK` without factors, if the factors do not
-    reduce this share, or if there are too few samples.
+    reduce this share, or if there are too few samples; in the last case, the leak is 0.
     """
     unit_gains = np.ones(len(parts[0]) if parts else 0)
     if not len(unit_gains):
@@ -115,8 +115,9 @@ def cross_spectra(parts: Sequence[Floats]) -> tuple[Spectra, float]:
 def _leak(spectra: Spectra, blocks: float) -> float:
     """Return the largest share of the common signal in the power of a difference of two sensors.
 
-    All pairs of sensors are compared. ``blocks`` is the number of independent blocks of the
-    ``spectra``.
+    All pairs of sensors are compared, except pairs without power at a frequency in the difference
+    or in the third sensors. The result is at least 0. ``blocks`` is the number of independent
+    blocks of the ``spectra``.
     """
     sensor_count = spectra.shape[1]
     shares = [0.0]

@@ -39,7 +39,7 @@ def axis_level(axis: str, fit: AxisFit, term: str) -> FilterLevel:
     Raises
     ------
     AllanError
-        When the term has neither a positive estimate nor a finite limit.
+        When the term has neither a positive resolved estimate nor a positive finite limit.
     """
     coefficient = fit.noise[term].magnitude if term == 'R' else fit.noise[term]
     value, limit = coefficient.value, coefficient.upper95
@@ -76,14 +76,16 @@ def reduce_axis(
     Returns
     -------
     Reduction
-        ``levels`` are N and, if the model has a random walk, K. The interval of an increased value
-        comes from the reduced-order models of two complete models: one with all coefficients at the
-        lower ends of their 95 % intervals, and one with all coefficients at the upper ends.
+        ``levels`` are N and, if the model has a random walk or K was added, K. With 'none' and
+        'walk', the interval of an increased value comes from the reduced-order models of two
+        complete models: one with all coefficients at the lower ends of their 95 % intervals, and
+        one with all coefficients at the upper ends. It is unknown with 'processes', or if a term of
+        the model has neither an interval nor a limit.
 
     Raises
     ------
     AllanError
-        When a required coefficient has neither a value nor a limit.
+        When N, or K where it is added, has neither a resolved estimate nor a limit.
     """
     white, walk = axis_level(axis, fit, 'N'), None
     model = fit.model.changed(N=white.value)
@@ -144,7 +146,8 @@ def white_variances(
     -------
     dict of 'gyro' and 'accel' to (x, y, z)
         The variances in the squared unit of the samples. A sensor is excluded if N of one of its
-        axes has neither a value nor a limit, or if an axis is missing.
+        axes has neither a resolved estimate nor a limit, or if an axis is missing. With a horizon,
+        the same holds for K of an axis whose model has no drift.
     """
     stds: dict[str, float] = {}
     for name, fit in axes.items():
@@ -166,8 +169,8 @@ def white_variances(
 def white_ratio(axes: Mapping[str, AxisFit], horizon: float) -> float:
     """Return the largest ratio, over all axes, of the upper to the lower end of the interval of N.
 
-    N is increased for a ``horizon`` in s as in `white_variances`. The ratio is infinite if an axis
-    has no 95 % interval of N, or an interval that begins at 0.
+    N is increased for a ``horizon`` in s as in `white_variances`. The ratio is infinite if the
+    lower end is 0, or if a term of the model of an axis has neither an interval nor a limit.
     """
     ratios = [1.0]
     for fit in axes.values():
@@ -201,7 +204,8 @@ def measure_inflation(
     Raises
     ------
     AllanError
-        When the fits have no axis in common, or N or K of an axis has neither a value nor a limit.
+        When the fits have no axis in common, or if N, or K of an axis without another random walk,
+        has neither a resolved estimate nor a limit.
     """
     common = [axis for axis in rest if axis in running]
     if not common:

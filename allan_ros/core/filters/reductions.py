@@ -70,9 +70,9 @@ class FilterLevel(NamedTuple):
         Positive number in SI: N, B, K or R of an axis, or another parameter. `Estimate.name` states
         which one. If the number is not resolved, the state estimator gets its 95 % upper limit.
     raised_from : float or None
-        Fitted coefficient before the increase, 0 if this coefficient is not resolved. None if the
-        value was not increased. Values are increased so that the state estimator does not
-        underestimate its error.
+        Fitted coefficient before the increase. If this coefficient is not resolved: 0 for K, and
+        the upper limit for N. None if the value was not increased. Values are increased so that
+        the state estimator does not underestimate its error.
     """
 
     estimate: Estimate
@@ -119,7 +119,8 @@ class Reduction(NamedTuple):
     # smallest and largest ratio, over all horizons, of the error that the reduced-order model
     # predicts to the error that the complete model predicts (standard deviations)
     ratio: tuple[float, float]
-    # N and K with their intervals; empty if the model did not come from the fit of an axis
+    # N, and K if it is used, with their intervals; empty if the model did not come from the fit of
+    # an axis
     levels: Mapping[str, FilterLevel]
 
     @property

@@ -39,7 +39,10 @@ ROUNDS = 3
 
 
 def rounding_errors(sums: AllanSums, axis: int, data: AxisData) -> Process | None:
-    """Return the rounding errors of a counter with a large step, or None if an axis has none.
+    """Return the rounding errors of a counter with a large step, or None.
+
+    The result is None if no step is found, if the step is too small (`LEAST_RATIO`), or if the
+    fitted errors do not have the variance step^2/12 (`LARGEST_DIFFERENCE`).
 
     ``data`` are the statistics of the axis. The shape of the result is in samples.
 

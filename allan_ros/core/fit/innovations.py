@@ -71,7 +71,8 @@ def innovation_levels(
 ) -> PeriodLevels:
     """Return the level of the drift in each block mean.
 
-    The level of a block mean is the square of its innovation, with one degree of freedom.
+    The level of a block mean is the square of its innovation, with one degree of freedom. Both are
+    0 for an axis whose model has no drift, or too small a share of drift (`LEAST_SHARE`).
 
     Parameters
     ----------

@@ -48,8 +48,9 @@ PAPER_FACTORS = (3.0, 1.0, FLICKER_FLOOR, 1.0 / 3.0, 0.5)
 def fit_paper(sums: AllanSums) -> NoiseModel:
     """Fit sum A_p tau^p to the Allan variances of all axes (Cong et al. 2019).
 
-    A term whose A_p is negative has no value, and a finding reports the term. Raises AllanError if
-    there are fewer than two samples.
+    A term whose A_p is negative has no value, and a finding reports the term. With fewer points
+    than terms, no term has a value, and a finding reports this. Raises AllanError if no segment has
+    two samples.
     """
     tau0 = sample_period(sums)
     tau = sums.m * tau0
@@ -135,8 +136,8 @@ def fit_curve(tau: ArrayLike, adev: ArrayLike, record: float | None = None) -> A
     Raises
     ------
     AllanError
-        If there are too few points, or the recording is shorter than twice the longest averaging
-        time.
+        If there are too few valid points, or the recording is not finite or is shorter than twice
+        the longest averaging time.
 
     Examples
     --------

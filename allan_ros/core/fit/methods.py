@@ -47,7 +47,7 @@ def fit_noise(sums: AllanSums, method: str = 'likelihood') -> NoiseModel:
     Raises
     ------
     AllanError
-        If the method is unknown, or if the method is 'paper' and there are fewer than two samples.
+        If the method is unknown, or if the method is 'paper' and no segment has two samples.
         With 'likelihood', a finding reports too few samples.
     """
     if method not in METHODS:
@@ -66,7 +66,8 @@ def fit_likelihood(sums: AllanSums, of_axes: Sequence[Statistics] = ()) -> Noise
     these statistics, the settling of a sensor must already be subtracted.
 
     Too few data raise no error: a term that the data do not determine has no value and no limit,
-    and a finding reports the axis.
+    and a finding reports the axis. An axis whose spectra are not finite has no values and no
+    finding.
     """
     tau0 = sums.tau0 or 1.0
     of_axes = of_axes or [statistics(sums)] * len(sums.axes)

@@ -47,7 +47,8 @@ def model_line(fit: AxisFit, tau0: float, m: NDArray[np.int64]) -> ModelLine:
     """Return the Allan deviation of the model at the averaging factors ``m`` of a curve, in SI.
 
     ``m`` and both arrays of the result are (factors,). ``tau0`` is the sample period in s.
-    Below the shortest averaging time that the model describes, the Allan deviation is NaN.
+    The Allan deviation is NaN below the shortest averaging time that the model describes, and where
+    the Allan variance of the model is not above 0.
     """
     # the Allan variance of a model with a low-pass filter may be negative at short times
     with np.errstate(invalid='ignore'):
@@ -112,7 +113,7 @@ def dominant_regions(curve: AllanCurve, fit: AxisFit) -> list[Region]:
     without a narrow neighbor gets the two terms with the largest shares.
 
     The ranges are contiguous, cover the measured curve, and are sorted by tau. The list is empty if
-    the model is empty.
+    the model or the curve is empty.
     """
     tau0 = curve.tau[0] / curve.m[0] if len(curve.m) else math.nan
     parts = fit.model.contributions(curve.tau, tau0) if len(curve.m) else {}

@@ -108,7 +108,11 @@ class AxisFit:
 
     @property
     def model_at_limits(self) -> Model:
-        """The model with every unresolved term at its 95 % upper limit."""
+        """The model with every unresolved term at its 95 % upper limit.
+
+        A term without a finite limit is unchanged, and so is the magnitude of a term that exceeds
+        its limit.
+        """
         limits = {
             term: max(c.upper95, abs(self.model.value(term)))
             for term, c in self.noise.items()

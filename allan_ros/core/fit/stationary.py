@@ -71,7 +71,7 @@ def fit_stationary(
     Raises
     ------
     AllanError
-        If the method is unknown, or if the method is 'paper' and there are fewer than two samples.
+        If the method is unknown, or if the method is 'paper' and no segment has two samples.
     """
     if method != 'likelihood' or not sums.tau0:
         return sums, fit_noise(sums, method)
@@ -196,7 +196,10 @@ def _with_scatter(
 
 
 def level_findings(sums: AllanSums, levels: PeriodLevels, model: NoiseModel) -> list[Finding]:
-    """Return a finding for each axis whose white noise varies between the periods."""
+    """Return a finding for each axis with a resolved N that varies between the periods.
+
+    The ratio of the highest to the lowest N must exceed `LEVEL_RATIO` or `LARGE_RATIO`.
+    """
     place = 'between recordings' if len(sums.recordings) > 1 else 'within the recording'
     findings = []
     for i, axis in enumerate(sums.axes):
