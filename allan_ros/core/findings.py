@@ -188,7 +188,7 @@ def missing_values(known: CatalogEntry, values: Mapping[str, Any]) -> list[str]:
 
 
 def _value(value: Any) -> Any:
-    """Convert a value to a type that a finding stores: a number, an Estimate, or text."""
+    """Convert a value to a type that a finding stores: a number, Estimate, text, tuple or None."""
     if isinstance(value, np.generic):
         return value.item()
     if isinstance(value, tuple) and all(isinstance(each, Estimate) for each in value):

@@ -90,12 +90,13 @@ class Faults(AddedProcesses):  # type: ignore[misc, valid-type]
     """Imperfections of a simulated IMU and of its recording; none by default.
 
     In addition to the fields below, there are options for every noise process that a fit searches
-    for, such as ``gauss_markov_gyro``, ``gauss_markov_accel`` and ``gauss_markov_time``.
+    for, except a sinusoid (see the options of the vibration). Examples are ``gauss_markov_gyro``,
+    ``gauss_markov_accel`` and ``gauss_markov_time``.
 
     Raises
     ------
     AllanError
-        When a value lies outside its range.
+        When a value has a wrong type or lies outside its range.
     """
 
     warmup_gyro: float = _offset(unit='rad/s')
@@ -217,15 +218,15 @@ def simulate_imu(
     faults : Faults
         Imperfections that are added to the samples and stamps.
     start_ns : int
-        Stamp of the first sample in ns.
+        Stamp of the first sample in ns, before a jitter is added.
     frame_id : str
         The frame_id of the messages.
 
     Raises
     ------
     AllanError
-        When the duration or the rate is out of range, the seed is negative, or the samples do not
-        fit into memory.
+        When the duration or the rate is out of range, the duration is shorter than one sample, the
+        seed is negative, or the samples do not fit into memory.
     """
     n, tau0 = samples_in(seconds, rate), 1.0 / rate
     if seed < 0:

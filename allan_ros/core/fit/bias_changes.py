@@ -134,7 +134,7 @@ class Segment:
         return np.asarray(contrasts(group.size)[:, 1:].T @ shapes)
 
     def axis(self, axis: int) -> AxisSegment | None:
-        """Return one axis of the segment; None if it has no noise."""
+        """Return one axis of the segment; None if it has no noise or cannot be fitted."""
         z = self.known.groups[0].sums[axis]
         data = AxisData.of(self.known, axis)
         data = replace(data, used=self.known.octave >= self.lowest)

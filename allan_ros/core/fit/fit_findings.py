@@ -179,6 +179,8 @@ def merge_equal(findings: Sequence[Finding]) -> tuple[Finding, ...]:
 def not_noise_findings(models: Sequence[NoiseModel], seconds: float) -> list[Finding]:
     """Return one finding if the recording is not a noise recording, else an empty list.
 
+    The list is also empty if the time at rest is below `TOO_SHORT_S`.
+
     Parameters
     ----------
     models : sequence of NoiseModel

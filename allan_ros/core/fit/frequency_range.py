@@ -245,6 +245,8 @@ def _down_weighted(rules: Selection, fit: Fit) -> tuple[Selection, Fit, dict[int
 def _highest(rules: Selection) -> _Trial:
     """Return the trial with the highest frequency for which the model passes all tests.
 
+    A trial that does not use all frequencies passes only if the highest octave of the data has less
+    power than the white noise of the model.
     A trial that nearly passes is fair (`_Verdict.is_fair`). After the first fair trial, only a half
     and a quarter of its frequency are tried. If a low-pass filter is the cause, the model passes at
     one of these frequencies. If no trial passes, the result is the fair trial, or the first trial

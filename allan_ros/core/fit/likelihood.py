@@ -330,7 +330,10 @@ class Interval(NamedTuple):
 
     low: float
     high: float
-    gain: float  # decrease of -2 log L from the coefficient 0 to the estimate
+
+    # decrease of -2 log L from the coefficient 0 to the estimate, at most 400; 0 for a coefficient
+    # that may be negative
+    gain: float
 
     def times(self, factor: float) -> Interval:
         """Return the interval of the coefficient times a positive factor."""
@@ -356,7 +359,8 @@ def profile_interval(
     """Return the interval of the coefficient ``i`` of a fit, by its profile likelihood.
 
     The interval is in units of `AxisData.scale`. It contains all values whose -2 log L exceeds the
-    minimum by at most 3.84, with all other coefficients fitted again for each value.
+    minimum by at most 3.84, with all other coefficients fitted again for each value. The interval
+    of a coefficient that may be negative is symmetric: 1.96 standard errors to each side.
     ``with_shapes``, (components + shapes, components + shapes), is the result of
     `information_with_shapes`. If it is given, the interval is wider by the ratio of two standard
     errors: with unknown and with known shapes.

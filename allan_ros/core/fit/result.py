@@ -50,7 +50,7 @@ class LackOfFit(NamedTuple):
     Attributes
     ----------
     low, high : float
-        Ends of the octave in Hz.
+        Frequencies of the first and the last bin of the octave in Hz.
     ratio : float
         Measured power / power of the model.
     """

@@ -389,7 +389,7 @@ def decay_of_means(time: float, step: int, number: int) -> Floats:
 def settling_power(sums: AllanSums, settling: Settling, octaves: int) -> Floats:
     """Return the power of a settling, (bins, axes), summed over all spectral blocks.
 
-    The power is in the squared unit of the samples.
+    The power is in the squared unit of the samples. Segments without block means are ignored.
     """
     segments = [
         (settling.sizes[i] * math.exp(-elapsed(r, m, sums.tau0 or 1.0) / settling.time), m.samples)

@@ -101,8 +101,9 @@ def temperature_models(
 ) -> tuple[dict[str, TemperatureModel], list[Finding]]:
     """Return axis -> model of its bias over temperature, and findings.
 
-    There are no models if the temperature varies too little, or in one direction only. If it varies
-    in one direction only, a finding states this.
+    There are no models if the temperature is known for too few block means, varies too little, or
+    varies in one direction only. If it varies in one direction only, a finding states this. An axis
+    has no model if it has no estimate of N, or if an interval of b0, b1 or b2 is unknown.
 
     Parameters
     ----------
@@ -351,7 +352,7 @@ def _contrasts(
 def _model(
     contrasts: _Contrasts, tau0: float, blocks: _Blocks, effects: Floats, basis: Floats
 ) -> TemperatureModel | None:
-    """Return the model of one axis; None if an interval is unknown.
+    """Return the model of one axis; None if an interval of b0, b1 or b2 is unknown.
 
     The columns of ``effects``, (blocks, 3), are the effects of b1, b2 and the hysteresis on the
     block means. ``basis`` is the basis of the contrasts.
