@@ -77,7 +77,11 @@ def open_recordings(
 
 
 def topics_of(path: str | os.PathLike[str]) -> list[str]:
-    """Return the Imu topics of a bag; the list is empty for other formats and unreadable files."""
+    """Return the Imu topics of a bag; the list is empty for other formats and unreadable files.
+
+    Topics without messages are included only if no Imu topic has messages. The list is also empty
+    if the bag has more Imu topics than `rosbag2.MAX_TOPICS`.
+    """
     bag_path = Path(path)
     try:
         if format_of(bag_path) != 'bag':
@@ -104,7 +108,7 @@ def format_of(path: Path) -> str:
 
     A folder is a bag, whatever it contains. The first bytes of a file determine its format. If they
     belong to no format, the suffix determines it. Raises AllanError when a file is missing, empty,
-    unreadable or of an unknown format.
+    unreadable, not regular, a Git-LFS pointer or of an unknown format.
     """
     if path.is_dir():
         return 'bag'

@@ -77,7 +77,8 @@ def open_array(path: Path, options: ReadOptions) -> Recording:
     """Open a ``.npz`` or ``.npy`` file as a recording.
 
     The samples stay in memory until they are read, or until the recording is closed. Raises
-    AllanError when ``path`` is not a numpy file, or when the shapes of the arrays do not match.
+    AllanError when ``path`` is not a numpy file or has no samples, when the shapes or types of the
+    arrays do not match, or when the axes, times or units are unknown or invalid.
     """
     with translated(path, _LIBRARY_ERRORS, REMEDY):
         batch, layout, time_name = _load(path, options)
@@ -167,7 +168,7 @@ def array_in(path: Path, name: str) -> NDArray[Any]:
     """Return the array ``name`` of numbers or strings in a ``.npz`` file, in any shape.
 
     The result is an empty array, (0,), if the file has no such array. Raises AllanError when the
-    file cannot be read.
+    file cannot be read, or when the array contains neither numbers nor strings.
     """
     with (
         translated(path, _LIBRARY_ERRORS, REMEDY),
@@ -223,7 +224,8 @@ def recording_in_memory(
     Parameters
     ----------
     samples : ImuBatch, (n,) or (n, axes) array, DataFrame, or mapping of column name to (n,) array
-        The samples, with one row per sample. Named columns are recognized as in a table.
+        The samples, with one row per sample. Named columns are recognized as in a table. An
+        ImuBatch is used unchanged: the options and axes do not apply to it.
     options : ReadOptions
         If the options contain a rate, the times are computed from the rate. Otherwise the times
         are a column such as ``t`` or ``time``, or the index of a DataFrame, if the index consists
@@ -231,12 +233,14 @@ def recording_in_memory(
     axes : sequence of str or str, optional
         Names of the axes, or 'gyro' or 'accel' for three axes. By default, an array with six
         columns contains gyro x, y, z and accel x, y, z, an array with three columns contains gyro
-        x, y, z, and a single column contains gyro x.
+        x, y, z, and a single column contains gyro x. Of named columns, only these axes are used;
+        by default, all axes are used.
 
     Raises
     ------
     AllanError
-        When a shape, name, unit or rate is invalid, or the times are missing.
+        When a shape, name, unit, time or rate is invalid, the times are missing, there are no
+        samples, or the samples are not numbers.
     """
     if isinstance(samples, ImuBatch):
         return _recording(samples)
@@ -320,8 +324,9 @@ def _numbers(samples: Any) -> NDArray[np.float64]:
 def _axis_names(axes: str | Sequence[str] | None, columns: int = 0) -> tuple[str, ...]:
     """Return the names of the axes of an array with ``columns`` columns.
 
-    If ``columns`` is 0, any number of names is accepted. Raises AllanError when a name is unknown,
-    or when the numbers of names and columns differ.
+    If ``columns`` is 0, any number of names is accepted. Raises AllanError when a name is unknown
+    or occurs twice, when the numbers of names and columns differ, or when ``axes`` is None and
+    there are no default names for this number of columns.
     """
     if axes is None:
         if columns not in DEFAULT_AXES:
@@ -355,8 +360,8 @@ def _batch(
     """Return the samples in ``columns``, and the layout with the unit of the stamps added.
 
     If ``stamps`` in ns, (n,), are given, columns of times are not used. Raises AllanError when no
-    column is an axis, the times are missing, a column is not numeric, or the columns have different
-    lengths.
+    column is an axis, the times are missing, a column is not numeric, the columns of the axes have
+    different lengths, or a time or the unit of the times is invalid.
     """
     layout.check(where, names, stamps is not None or bool(options.rate_hz))
     with np.errstate(all='ignore'):  # a damaged file may contain any value

@@ -90,8 +90,8 @@ class Bag:
         """Return one of the files, opened for reading; a compressed file is decompressed for this.
 
         The file that was open before is closed. Raises AllanError when the file is missing, empty,
-        not a bag, or so damaged that it cannot be opened. Other damage is found when the messages
-        are read.
+        not a bag, or so damaged that it cannot be opened, or when a Python package that it needs is
+        missing. Other damage is found when the messages are read.
         """
         if self._open is None or self._open[0] != file:
             self.close()
@@ -127,8 +127,8 @@ class Bag:
 def bag_of(path: Path) -> Bag:
     """Return the bag at a path, which is a folder (with or without metadata.yaml) or one file.
 
-    Raises AllanError when the folder contains no bag, or one of its files is missing or not a
-    regular file.
+    Raises AllanError when the folder contains no bag, its metadata.yaml is invalid, or one of its
+    files is missing, empty, unreadable or not a regular file. A path of one file is not checked.
     """
     if not path.is_dir():
         return Bag(path, (path,), None)

@@ -32,7 +32,7 @@ class Topic:
     """A topic of one bag file: number in the file, name, and type (``package/msg/Name``).
 
     ``encoding`` is the serialization of the messages: 'cdr', 'ros1', or a serialization that cannot
-    be read. Raises ValueError when a text contains control characters, because then the file is
+    be read. Raises ValueError when a text contains unprintable characters, because then the file is
     damaged.
     """
 
@@ -52,7 +52,7 @@ Payloads = list[bytes | memoryview] | NDArray[np.void]
 
 @dataclass
 class Messages:
-    """n consecutive messages of a bag: topic ids, (n,), record times in ns, (n,), and payloads."""
+    """n messages of a bag: topic ids, (n,), record times in ns, (n,), and n payloads."""
 
     topics: NDArray[np.integer[Any]]
     record_ns: NDArray[np.int64]
@@ -158,7 +158,7 @@ def decompress(data: bytes | memoryview, compression: str, limit: int) -> bytes:
 
 
 def _stated_size(head: bytes | memoryview, compression: str) -> int:
-    """Return the decompressed size that the header of zstd data states; -1 if it is unknown."""
+    """Return the decompressed size that the header of zstd data states; -1 if there is none."""
     return int(_zstd().frame_content_size(head)) if compression == 'zstd' else -1
 
 
@@ -173,8 +173,9 @@ def _expanding(file: BinaryIO, compression: str) -> Any:
 def decompress_file(source: Path, compression: str, target: Path) -> None:
     """Decompress the bag file ``source`` into the file ``target``.
 
-    ``compression`` is 'zstd' or 'lz4'. Raises AllanError when ``source`` is damaged, when the
-    decompressed file is larger than `MAX_FILE_RATIO` permits, or when the disk is full.
+    ``compression`` is 'zstd' or 'lz4'. Raises AllanError when ``source`` is damaged or cannot be
+    read, when the decompressed file is larger than `MAX_FILE_RATIO` permits, when the disk is full,
+    or when the Python package for this compression is missing.
     """
     remedy = 'copy it again; check the space for temporary files'
     with (

@@ -147,9 +147,9 @@ def decode_imus(
 ) -> DecodedImus:
     """Decode n serialized Imu messages to stamps in ns, (n,), and samples in SI, (n, 6).
 
-    If covariance[0] of a sensor is -1 or NaN in a message, and its data are not finite or all zero,
-    the samples of this sensor are NaN. Raises MalformedMessage for the first payload that is not an
-    Imu message.
+    If covariance[0] of a sensor is -1 or NaN in a message, and its data are all zero or not all
+    finite, the samples of this sensor are NaN. Raises MalformedMessage for the first payload that
+    cannot be an Imu message, because of its first bytes, its length or the length of its frame_id.
     """
     n = len(payloads)
     samples = np.empty((len(AXES), n)).T
@@ -251,7 +251,7 @@ def _layout(encoding: Encoding, order: str, frame_bytes: int, length: int = 0) -
 
 
 def is_imu(payload: bytes, encoding: Encoding) -> bool:
-    """Return whether a payload is a serialized Imu message."""
+    """Return whether a payload can be decoded as a serialized Imu message."""
     try:
         decode_imus([payload], encoding)
     except MalformedMessage:
@@ -309,7 +309,8 @@ def encode_imus(batch: ImuBatch, encoding: Encoding, order: str = '<') -> list[m
 def decode_temperature(payload: bytes, encoding: Encoding) -> tuple[int, str, float]:
     """Return the header stamp in ns, frame_id and temperature in degC of a Temperature message.
 
-    Raises MalformedMessage when the payload is not a serialized sensor_msgs/Temperature.
+    Raises MalformedMessage when the payload is too short for a sensor_msgs/Temperature, is not
+    plain CDR, or has a frame_id that is too long.
     """
     # the temperature follows the header, at the place of the orientation in an Imu message
     padded = payload + bytes(_IMU_BYTES)
@@ -363,9 +364,9 @@ class CovariancePatch:
         }
 
     def patch(self, payload: bytes) -> bytes:
-        """Return the message with the given variances, or ``payload`` itself if nothing changes.
+        """Return the message with the given variances; ``payload`` itself if none may be written.
 
-        Raises MalformedMessage when the payload is not an Imu message in plain CDR.
+        Raises MalformedMessage when the payload cannot be an Imu message in plain CDR.
         """
         order, _, offsets, frame = _layout_of(payload)
         if self._frame and payload[frame].rstrip(b'\0') != self._frame:
@@ -393,6 +394,6 @@ class CovariancePatch:
 def frame_id_of(payload: bytes) -> str:
     """Return header.frame_id of an Imu message in CDR.
 
-    Raises MalformedMessage when the payload is not an Imu message in plain CDR.
+    Raises MalformedMessage when the payload cannot be an Imu message in plain CDR.
     """
     return payload[_layout_of(payload).frame].rstrip(b'\0').decode(errors='replace')

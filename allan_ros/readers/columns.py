@@ -159,6 +159,7 @@ class ColumnLayout:
     ) -> ColumnLayout:
         """Return the layout with the unit of the stamps.
 
+        The layout is returned unchanged if there are no times, or if the stamp is not one column.
         The unit is taken from the options, otherwise from the name of the column. If neither states
         a unit, the unit is recognized from the stamps: by their size if they are times since 1970,
         otherwise by their increments.
@@ -175,7 +176,8 @@ class ColumnLayout:
         Raises
         ------
         AllanError
-            When the unit in the name is unknown or contradicts the stamps.
+            When the options state no unit, and the unit in the name is unknown or contradicts the
+            stamps.
         """
         if len(self.stamp) != 1 or not len(times):
             return self
@@ -251,12 +253,13 @@ def columns_of(where: object, names: Iterable[str], options: ReadOptions) -> Col
         Names of the columns. If several columns contain times, `_STAMPS` states which of them are
         used.
     options : ReadOptions
-        Units for columns whose names state no unit.
+        Units for columns whose names state no unit, and raw counts per unit of the samples.
 
     Raises
     ------
     AllanError
-        When the unit of a column is unknown, or when two columns contain the same axis.
+        When the name of an axis or of the record times states an unknown unit (for an axis, only if
+        the options state none, either), or when two columns contain the same axis.
     """
     axes: dict[str, tuple[int, float]] = {}
     units: dict[str, str] = {}
@@ -329,8 +332,8 @@ name contains such a word."""
 def names_by_file(stem: str, names: tuple[str, ...]) -> tuple[str, ...]:
     """Add the sensor that a file name states to the column names x, y and z.
 
-    If one of these columns is missing, or the file name does not state exactly one sensor, the
-    names are returned unchanged. ``stem`` is the file name without suffix.
+    If one of these columns is missing, or the file name does not contain exactly one word for a
+    sensor, the names are returned unchanged. ``stem`` is the file name without suffix.
 
     Examples
     --------
@@ -352,9 +355,10 @@ def names_by_file(stem: str, names: tuple[str, ...]) -> tuple[str, ...]:
 def picked_names(where: object, names: tuple[str, ...], pairs: tuple[str, ...]) -> tuple[str, ...]:
     """Rename columns by pairs such as ``gx=w_x`` (new name, name in the header).
 
-    Returns one name per column. A renamed column has the new name and the unit in the header. If
-    the pairs contain an axis, a time or a temperature, all other columns of this kind get the name
-    '-', which excludes them. Further columns keep their names. Raises AllanError when a pair does
+    Returns one name per column. A renamed column has the new name, and the unit in brackets in the
+    header unless the new name has one. If the pairs contain an axis, a time, a temperature or an
+    unknown name, all other columns of this kind get the name '-', which excludes them. Further
+    columns keep their names. Raises AllanError when a pair does
     not match exactly one column; ``where`` is the name of the table in the message.
     """
     groups = {_group(pair.partition('=')[0]) for pair in pairs}

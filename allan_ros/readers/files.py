@@ -222,8 +222,8 @@ SURROGATE = re.compile('[\ud800-\udfff]')
 def parse_json(text: str, where: str) -> object:
     """Parse a JSON text; ``where`` is the name of the text in messages.
 
-    Raises AllanError if the text is too long or invalid, or contains NaN, infinity or an unpaired
-    surrogate.
+    Raises AllanError if the text is too long, invalid or nested too deeply, or contains the words
+    NaN or Infinity as numbers, an integer of more than 20 characters, or an unpaired surrogate.
     """
     if len(text) > MAX_BYTES:
         raise AllanError(
@@ -301,9 +301,9 @@ def read_yaml(path: Path) -> Any:
 
 
 def config_names(kind: str) -> list[str]:
-    """Return the sorted names, without suffix, of all configuration files in a folder.
+    """Return the sorted names, without suffix, of all .yaml configuration files of a kind.
 
-    ``kind`` is the name of the folder: 'sensors' or 'filters'.
+    ``kind`` is the name of the folders with such files: 'sensors' or 'filters'.
     """
     return sorted({path.stem for folder in config_folders(kind) for path in folder.glob('*.yaml')})
 
@@ -324,7 +324,8 @@ def config_file(kind: str, name: str, called: str) -> Path:
     Raises
     ------
     AllanError
-        When the name is unknown. The message suggests similar names.
+        When the name is unknown or ambiguous. The message suggests similar names, or lists some
+        names if none is similar.
     """
     path = Path(name)
     if path.suffix.lower() in ('.yaml', '.yml'):
@@ -396,7 +397,7 @@ class PathLock:
     def acquire(self) -> str:
         """Try to acquire the lock; return '' on success, otherwise the name of its present owner.
 
-        Raises AllanError if the lock file cannot be created.
+        Raises AllanError if the lock file cannot be created or opened, or is not a regular file.
         """
         while self._handle is None:
             handle = self._open_lock_file()

@@ -84,7 +84,8 @@ class Chunk:
     """A chunk of a file, or a sequence of messages outside chunks (``loose``).
 
     ``start_ns`` is the smallest record time of the messages. ``offset`` and ``length`` state where
-    the content is in the file. ``next`` is the offset after the content and the message index.
+    the content is in the file. ``next`` is the offset after the content, and after the message index
+    of a chunk that the summary lists.
     """
 
     start_ns: int
@@ -125,7 +126,10 @@ class Contents:
             self.stated = Counter(dict(struct.iter_unpack('<HQ', data[at : min(at + size, stop)])))
 
     def check(self, opcode: int, data: bytes, at: int) -> None:
-        """Raise ValueError if a schema or channel in a chunk differs from the stored one."""
+        """Raise ValueError if a schema or channel differs from the stored one, or a channel is new.
+
+        Of a channel, the topic name and message type are compared.
+        """
         found = Contents(schemas=dict(self.schemas))
         found.add(opcode, data, at, at)
         for number, schema in self.schemas.items():
@@ -181,7 +185,9 @@ class McapStorage:
     def stated(self, ids: set[int], read: int) -> int:
         """Return how many messages of the topics ``ids`` the file contains according to its index.
 
-        Without an index, the number of messages that were read, ``read``, is returned.
+        Without an index, the messages that were found when the file was opened count. If there are
+        none of any topic, the result is ``read``, the number of messages that were read. If the
+        file is truncated, the result is at least ``read``.
         """
         if not self._contents.stated:
             return read
@@ -229,7 +235,7 @@ class McapStorage:
         return self._file.read(length)
 
     def _data(self, chunk: Chunk) -> bytes:
-        """Return the decompressed records of a chunk, after checking its CRC-32."""
+        """Return the decompressed records of a chunk, after checking its CRC-32 if it is stored."""
         data = self._read(chunk.offset, chunk.length)
         if chunk.loose:
             return data
@@ -251,8 +257,9 @@ class McapStorage:
     def _read_summary(self) -> tuple[Contents, list[Chunk], int]:
         """Return the contents and chunks according to the summary, and the offset of the summary.
 
-        If the summary is missing, or its records contradict each other, the contents and the chunks
-        are empty, and the offset is the size of the file.
+        If the summary is missing or damaged, lists no chunk, channel or message, or its records
+        contradict each other, the contents and the chunks are empty, and the offset is the size of
+        the file.
         """
         no_summary: tuple[Contents, list[Chunk], int] = (Contents(), [], self._size)
         footer = self._read(max(0, self._size - FOOTER_BYTES), FOOTER_BYTES)
@@ -288,7 +295,8 @@ class McapStorage:
     def _scan(self, at: int, stop: int) -> int:
         """Read the records from offset ``at`` on, and return the offset of the first unread byte.
 
-        Reading ends at the offset ``stop``, or at the first record that extends beyond ``stop``.
+        Reading ends at the offset ``stop``, or at the first record that extends beyond ``stop`` or
+        has the opcode 0.
         """
         damaged_bytes = 0
         while at + RECORD_HEAD.size <= stop:
@@ -326,7 +334,7 @@ class McapStorage:
         """Add a message record outside chunks to the list of chunks.
 
         ``head`` is the start of the content of the record. The record begins at ``offset`` in the
-        file and stops before ``end``. Adjacent messages form one chunk.
+        file and stops before ``end``. Adjacent messages form one chunk, until it has `LOOSE_BYTES`.
         """
         channel, _, log_time, _ = MESSAGE_HEAD.unpack(head)
         self._indexed[channel] += 1

@@ -70,7 +70,10 @@ class Provenance:
 
     @property
     def start(self) -> datetime | None:
-        """Time of the first sample in UTC; None if the stamps do not count from 1970."""
+        """Start of the first segment in UTC, in whole seconds; None if there is no such time.
+
+        This is the case without segments, or if the stamps do not count from 1970.
+        """
         start_s = min((s.start_ns for s in self.segments), default=0) // NANOSECONDS
         return datetime.fromtimestamp(start_s, timezone.utc) if start_s >= EPOCH_S[0] else None
 
@@ -101,7 +104,8 @@ class RecordingSums:
     def __add__(self, other: RecordingSums) -> RecordingSums:
         """Return the Allan sums of both recordings together.
 
-        Raises AllanError when the recordings are of different IMUs, or have samples in common.
+        Raises AllanError when the sums cannot be added, for example because the recordings are of
+        different IMUs, or when the recordings have a segment in common.
         """
         try:
             sums = add_sums(self.sums, other.sums)
@@ -172,7 +176,10 @@ class ReadJob:
             )
 
     def open(self) -> Recording:
-        """Open the recording without reading its samples."""
+        """Open the recording; the samples of a bag or table are not read yet.
+
+        Raises AllanError when the recording cannot be opened.
+        """
         (recording,) = open_recordings([self.path], self.reading)
         return recording
 
@@ -396,7 +403,10 @@ def read_in_processes(
 
 @contextmanager
 def _interrupts_blocked() -> Iterator[None]:
-    """Block SIGINT in this process, and in all processes that are started within the context."""
+    """Block SIGINT in this thread, and in all processes that it starts within the context.
+
+    On Windows, nothing is blocked.
+    """
     if not hasattr(signal, 'pthread_sigmask'):  # Windows has no signal masks
         yield
         return
@@ -410,8 +420,9 @@ def _interrupts_blocked() -> Iterator[None]:
 def add_recordings(recordings: Iterable[RecordingSums]) -> RecordingSums:
     """Return the Allan sums of all recordings of one IMU, added in the order of their start.
 
-    Phone apps write one recording for each sensor. A recording of the gyro and a recording of the
-    accelerometer that were made at the same time are joined as the two sensors of one IMU.
+    Phone apps write one recording for each sensor. If all recordings are pairs of a gyro and an
+    accelerometer that were recorded at the same time, each pair is joined as the two sensors of one
+    IMU. Raises AllanError when recordings cannot be added.
     """
     return reduce(add, _with_both_sensors(sorted(recordings, key=_start_ns)))
 

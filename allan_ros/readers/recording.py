@@ -147,7 +147,8 @@ class Recording:
     info : SourceInfo
         Where the samples come from.
     messages : int or None
-        Number of samples according to the recording; None if the recording does not state it.
+        Number of samples according to the recording, with those of ``accel``; None if the recording
+        does not state it.
     read : callable
         Function that yields the samples in batches, and calls its argument with each finding.
     temperature : callable
@@ -162,7 +163,7 @@ class Recording:
     accel : Recording or None
         Recording of the accelerometer if this sensor has a separate topic; None otherwise.
     other_topics : sequence of str
-        Imu topics of the bag that are not read, the most similar name first.
+        Other Imu topics of the bag, the most similar name first.
     findings : tuple of Finding
         Findings of the reader, complete after all samples have been read.
     """
@@ -243,7 +244,7 @@ def optional_package(module: str, purpose: str) -> Any:
 
 
 def first_bytes(path: Path) -> bytes:
-    """Return the first 64 bytes of a file.
+    """Return the first 64 bytes of a file, or all bytes of a shorter file.
 
     Raises AllanError when the file is missing, unreadable, not regular, empty, or a Git-LFS
     pointer.

@@ -63,7 +63,10 @@ class Survey:
     truncation: Truncation | None = None  # truncation of the first truncated file
 
     def listed(self, keys: Iterable[Key]) -> str:
-        """Return the name, type and number of messages of each of these topics, as text."""
+        """Return the name, type and number of messages of these topics, as text.
+
+        If there are more than `columns.MOST_LISTED` topics, the others are counted.
+        """
         shown = []
         for key in keys:
             encoding = self.topics[key].encoding
@@ -130,6 +133,8 @@ def survey_bag(bag: Bag) -> Survey:
 
 def chosen_topic(path: Path, survey: Survey, wanted: str, accel_topic: str = '') -> Topic:
     """Return the Imu topic with the name ``wanted``, or the only Imu topic if ``wanted`` is ''.
+
+    Without a name, Imu topics without messages are considered only if no Imu topic has messages.
 
     Parameters
     ----------
@@ -212,8 +217,9 @@ def _no_imu(path: Path, survey: Survey) -> AllanError:
 def open_bag(path: Path, options: ReadOptions) -> Recording:
     """Open the Imu topic of a bag as a recording; ``path`` is a bag folder or a bag file.
 
-    Raises AllanError when the bag cannot be read or has no Imu topic, or when it has several and
-    the options select none.
+    Raises AllanError when the bag cannot be read, when it has no Imu topic or not the topics that
+    the options select, when it has several and the options select none, or when the topic has no
+    messages or another serialization than `ENCODINGS`.
     """
     bag = bag_of(path)
     survey = survey_bag(bag)
@@ -308,7 +314,8 @@ class _Reader:
     def temperature(self, frame_id: str) -> TemperatureTrace | None:
         """Return the temperature over time; None if the topic of this IMU cannot be determined.
 
-        If there are several Temperature topics, the topic with the ``frame_id`` of the IMU is used.
+        If there are several Temperature topics, the only topic with the ``frame_id`` of the IMU is
+        used. The result is also None if this topic contains no valid temperature.
         """
         readings_by_topic = [
             (topic, [t for message in messages if (t := _temperature(topic, *message))])

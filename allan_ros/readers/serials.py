@@ -59,7 +59,7 @@ class SerialRule:
         """Return the serial number of the IMU whose recording is at ``path``.
 
         Raises AllanError if there is no serial number, if it has more than `MAX_NAME` characters,
-        or if the file cannot be read.
+        or if the file cannot be read or is of a type to which the rule does not apply.
         """
         file_path = Path(path)
         if self._kind == 'name':

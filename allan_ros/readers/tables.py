@@ -77,7 +77,8 @@ are not used. The third column is the frame_id."""
 def open_table(path: Path, options: ReadOptions) -> Recording:
     """Open a table of numbers in a text file as a recording.
 
-    Raises AllanError when the table has no rows or no axis, or when the times are unknown.
+    Raises AllanError when the file is not a table, when the table has no rows or no axis, or when
+    the names of its columns, its times or a unit are unknown.
     """
     with _text(path) as file:
         table = _layout(path, file, options)
@@ -124,7 +125,7 @@ class _Table:
                 yield batch
 
     def temperature(self, frame_id: str = '') -> TemperatureTrace | None:
-        """Return the temperature over time; None if the table has no column of temperatures."""
+        """Return the temperature over time; None if the rows that were read contain none."""
         if self.columns.temperature is None:
             return None
         column, _ = self.columns.temperature
@@ -298,10 +299,12 @@ def _bounded_lines(path: Path, file: TextIO) -> Iterator[str]:
 
 
 def _split(lines: Iterable[str], delimiter: str) -> Iterator[list[str]]:
-    """Yield the cells of each row; a quoted cell may contain line breaks and delimiters.
+    """Yield the cells of each row.
 
-    If ``delimiter`` is '', cells are separated by white space. A comma that is not the delimiter is
-    a decimal mark. Raises csv.Error when a quote is not closed, or a cell is longer than 128 kB.
+    If ``delimiter`` is '', cells are separated by white space, and quotes have no meaning.
+    Otherwise, a quoted cell may contain line breaks and delimiters, and csv.Error is raised when a
+    quote is misplaced or not closed, or a cell has more than 128 Ki characters. A comma that is not
+    the delimiter is a decimal mark.
     """
     if delimiter != ',':
         lines = (line.replace(',', '.') for line in lines)
@@ -315,7 +318,7 @@ class _Lines:
 
     ``number`` is the number of the last line that was read; the first line has the number 1.
     ``frame_id`` is taken from the last comment that contains a frame_id. ``complete`` is whether
-    the last line that was read has a line end.
+    the last row that was read has a line end.
     """
 
     def __init__(self, table: _Table, file: TextIO) -> None:
@@ -375,7 +378,10 @@ class _Rows:
         return np.array(self._converted(column, lambda cell: float(cell or 'nan')))
 
     def _nanoseconds(self, column: int, scale: int) -> NDArray[np.int64]:
-        """Convert a column of times exactly to ns; ``scale`` is the size of its unit in ns."""
+        """Convert a column of times to ns, rounded to whole ns without further errors.
+
+        ``scale`` is the size of the unit of the times in ns, or `DATES`.
+        """
         if scale == 1:
             with suppress(ValueError, OverflowError):
                 return np.array([int(row[column]) for row in self.cells], dtype=np.int64)

@@ -56,7 +56,8 @@ def open_ulog(path: Path, options: ReadOptions) -> Recording:
     """Open a PX4 log as a recording of one IMU.
 
     If the options select no topic, ``sensor_combined`` is preferred. Raises AllanError when the log
-    cannot be read, has no IMU, or has several instances of ``vehicle_imu`` and no selection.
+    cannot be read, has no IMU or not the selected topic, when a choice between several instances of
+    a topic is necessary but not made, or when the package ``pyulog`` is missing.
     """
     log = _parsed(path)
     topics = {_label(data, log): data for data in log.data_list if data.name in TOPICS}
@@ -97,7 +98,7 @@ def _parsed(path: Path) -> Any:
 
 
 class _Limited:
-    """A file object whose content ends after `MAX_SEEKS` seeks.
+    """A file object whose content ends after more than `MAX_SEEKS` seeks.
 
     The parser seeks back once for each byte of a damaged part of the log. Without a limit, parsing
     such a part takes very long.
@@ -168,7 +169,8 @@ def _samples(name: str, data: dict[str, NDArray[Any]]) -> tuple[ImuBatch, float]
 def _temperature(log: Any, data: Any) -> TemperatureTrace | None:
     """Return the temperature over time of the gyro whose samples ``data`` contains.
 
-    Returns None if no topic, or more than one, could contain the temperature of this gyro.
+    Returns None if no topic contains the temperature of this gyro, or if the log does not state the
+    device of the gyro and has temperatures of several instances.
     """
     topics = [topic for topic in log.data_list if topic.name in THERMOMETERS]
     selections = (topic for topic in log.data_list if topic.name == SELECTION)

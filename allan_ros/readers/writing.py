@@ -56,8 +56,9 @@ def write_recording(
     Raises
     ------
     AllanError
-        When the path exists and ``overwrite`` is not set, when it cannot be written or is a .bag
-        file, or when the package ``rosbags`` is missing.
+        When the path exists and ``overwrite`` is not set, when it is a folder that is not a bag,
+        when it cannot be written or is a .bag file, or when a bag is to be written and the package
+        ``rosbags`` is missing.
     """
     path = Path(path)
     suffix = path.suffix.lower()
