@@ -147,8 +147,8 @@ class Recording:
     info : SourceInfo
         Where the samples come from.
     messages : int or None
-        Number of samples according to the recording, with those of ``accel``; None if the recording
-        does not state it.
+        Number of samples according to the recording, including the samples of ``accel``; None if
+        the recording does not state it.
     read : callable
         Function that yields the samples in batches, and calls its argument with each finding.
     temperature : callable
