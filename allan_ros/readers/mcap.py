@@ -84,8 +84,8 @@ class Chunk:
     """A chunk of a file, or a sequence of messages outside chunks (``loose``).
 
     ``start_ns`` is the smallest record time of the messages. ``offset`` and ``length`` state where
-    the content is in the file. ``next`` is the offset after the content; for a chunk that the summary
-    lists, it is the offset after its message index.
+    the content is in the file. ``next`` is the offset after the content. If the summary lists the
+    chunk, it is the offset after its message index.
     """
 
     start_ns: int

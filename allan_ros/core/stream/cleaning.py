@@ -64,7 +64,7 @@ def unit_of_stamps(stamps: Stamps) -> str:
     """Return the unit of integer stamps, (n,): 'us', 'ms' or 'ns'.
 
     It is 'us' or 'ms' if the stamps are in the range `EPOCH_S` in this unit and their median
-    step is at most `SLOWEST_S`. Otherwise, it is 'ns'.
+    step is above 0 and at most `SLOWEST_S`. Otherwise, it is 'ns'.
 
     >>> import numpy as np
     >>> unit_of_stamps(1_700_000_000_000_000 + 5000 * np.arange(9))
@@ -212,8 +212,9 @@ class CoveredTime:
     """Excludes samples whose time is already covered, as when a recording is played again.
 
     ``covered`` lists the stretches of time that earlier data cover: (first, last) stamp in ns. Each
-    sample covers the time since the previous stamp, if this time is at most `NEAR_NS`. Consecutive
-    samples with equal stamps are all kept. ``dropped`` is the number of excluded samples.
+    sample covers the time since the previous stamp, if this time is at most `NEAR_NS`. A sample
+    with the stamp of the previous sample is kept if the previous sample is kept. At most
+    `MOST_COVERED` stretches are stored. ``dropped`` is the number of excluded samples.
     """
 
     def __init__(self, covered: Sequence[tuple[int, int]] = ()) -> None:
@@ -342,8 +343,9 @@ class RepeatFilter:
     """Interpolates samples that repeat the previous sample, in evenly spaced blocks.
 
     ``groups`` are lists of indices of axes. A sample that equals the previous sample on all axes of
-    a group is interpolated on these axes. The last `LONGEST_REPEAT` samples are buffered until more
-    samples follow or the segment ends.
+    a group is interpolated on these axes, unless more than `LONGEST_REPEAT` such samples follow each
+    other, or the segment ends before a new value. The last `LONGEST_REPEAT` samples are buffered
+    until more samples follow or the segment ends.
     """
 
     def __init__(self, groups: list[list[int]], axes: int) -> None:

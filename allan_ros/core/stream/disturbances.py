@@ -54,7 +54,8 @@ def without_spikes(
     ``size`` is the number of samples in a window. ``before`` and ``after``, (axes, n), are up to
     `SPIKE_NEIGHBORS` samples on either side of the block. Returns the block, the statistics of its
     windows, and the number of replaced values. On axes with heavy tails, the spikes stay in the
-    block, and are removed only from the statistics.
+    block, and are removed only from the statistics. No sample is replaced if ``size`` is below
+    `LEAST_WINDOW`, or on an axis in a window in which more than a few samples deviate.
     """
     rows = block.rows
     windows = Windows.of(rows, size)
@@ -128,7 +129,10 @@ class RestLevel:
         self._means.extend(means[:, -LEVEL_WINDOWS - 1 :].T)
 
     def before(self) -> Floats:
-        """Return the means of the last windows, (k, axes), for a motion that begins now."""
+        """Return the means of the last windows, except for the very last one, (k, axes).
+
+        They are the means before a motion that begins now; the result is empty if there are none.
+        """
         return np.array(list(self._means)[:-1])
 
 
@@ -205,6 +209,8 @@ class Motion:
     def replaced(self, held: list[ImuBatch], floor: NoiseFloor, period_s: float) -> list[ImuBatch]:
         """Return the windows of a shock with replaced samples; empty if the motion is no shock.
 
+        The result is also empty if more than the share `REPLACED_SHOCK_SHARE` of the samples of the
+        segment would be replaced.
         ``held`` contains the last window before the motion and all windows of the motion. Of the
         quiet windows at the end, only the first is replaced.
         """

@@ -441,7 +441,10 @@ def changed_gyro_unit(gyro: Floats, accel: Floats = NO_AXES) -> str:
 
 
 def probable_gyro_unit(n: float) -> str:
-    """Return the unit in which the N of a gyro is most typical; ``n`` is N in an unknown unit."""
+    """Return the unit other than rad/s in which the N of a gyro is most typical.
+
+    ``n`` is N in an unknown unit. A value below `LARGEST_N` is replaced by `LARGEST_N`.
+    """
     factors = {unit: UNITS[unit].factor for unit in SAMPLE_UNITS['gyro'][1:]}
     return min(factors, key=lambda unit: abs(math.log(max(n, LARGEST_N) * factors[unit] / USUAL_N)))
 
@@ -453,7 +456,10 @@ def sums_findings(sums: AllanSums) -> list[Finding]:
 
 
 def _equal_axes(sums: AllanSums) -> list[Finding]:
-    """Return a finding for each pair of axes with equal Allan sums: a driver copies one axis."""
+    """Return a finding for each pair of axes with equal Allan sums: a driver copies one axis.
+
+    Axes without noise are not compared.
+    """
     if not len(sums.sum_sq):
         return []
     equal_pairs = [
@@ -467,7 +473,11 @@ def _equal_axes(sums: AllanSums) -> list[Finding]:
 
 
 def unit_findings(sums: AllanSums) -> list[Finding]:
-    """Return a finding for each sensor whose noise or mean is implausible in SI units."""
+    """Return a finding for each sensor whose values are implausible in SI units.
+
+    Of a gyro, N and the mean rate are examined, and of an accelerometer with three axes, the
+    magnitude of the mean.
+    """
     if not sums.tau0 or not sums.recordings:
         return []
     sample_sums = np.sum([r.samples * r.mean for r in sums.recordings], axis=0)

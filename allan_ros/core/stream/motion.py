@@ -86,9 +86,9 @@ class MotionGate:
     It divides the samples into windows, removes spikes, and learns the noise floor, with which
     `RestFilter` decides about each window. After every `CHECKED_WINDOWS` windows, another noise
     level begins or continues if it fits these windows better than the present level.
-    ``period_ns`` is the sample period. A window is moving if its standard deviation is more than
-    ``settings.motion_ratio`` times the noise floor, or if its mean angular rate differs from the
-    rate at rest by more than ``settings.rate_limit``. ``levels``, ``events``, and the numbers of
+    ``period_ns`` is the sample period. A window is moving, for example, if its standard deviation is
+    more than ``settings.motion_ratio`` times the noise floor, or if its mean angular rate differs
+    from the rate at rest by more than ``settings.rate_limit`` and more than noise explains. ``levels``, ``events``, and the numbers of
     spikes and splits in ``counts`` are changed in place.
     """
 
@@ -153,7 +153,8 @@ class MotionGate:
         """Axis -> present standard deviation of the white noise; empty if the IMU moves.
 
         It is computed from the differences of neighboring samples in the latest windows, if all of
-        these windows are at rest, or if their noise is larger without a motion.
+        these windows are at rest, or if their noise is larger without a motion. When a noise level
+        has just begun, it is the noise when the level began. Before the first windows, it is empty.
         """
         recent = self._recent.last(CHECKED_WINDOWS)
         if len(recent) < CHECKED_WINDOWS:  # the noise level has just begun
@@ -167,7 +168,10 @@ class MotionGate:
 
     @property
     def increases(self) -> dict[str, float]:
-        """Axis with increased noise -> largest ratio of its noise at rest to the noise floor."""
+        """Axis -> largest ratio of its noise at rest to the noise floor when noise was increased.
+
+        Only ratios above 1 are included. It is empty if the noise of no axis was increased.
+        """
         return self._named(self._ratios.largest)
 
     @property
@@ -187,7 +191,7 @@ class MotionGate:
 
     @property
     def heavy_tails(self) -> dict[str, float]:
-        """Axis with heavy tails -> share of its samples that are outliers."""
+        """Axis with heavy tails -> share of its examined samples that are outliers."""
         floor = self._levels.present.floor
         if floor is None or not floor.examined:
             return {}
@@ -362,7 +366,7 @@ class MotionGate:
         self._number %= BLOCK_WINDOWS
 
     def _update_floor(self) -> None:
-        """Update the noise floor from the latest block of windows."""
+        """Update the noise floor from the latest block of windows, if the result is plausible."""
         block, is_still = self._recent, self._recent.still
         updated = self._rest.floor.updated(block.windows, is_still, block.is_steady)
         if updated.is_plausible():

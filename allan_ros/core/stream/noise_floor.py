@@ -223,7 +223,8 @@ class Limits(NamedTuple):
 
     ``step`` is the largest difference between the means of neighboring windows, and ``rate`` the
     largest difference between the mean of a window and the mean of the noise floor. For an axis
-    without noise, all except ``rate`` are infinite. For an accelerometer, ``rate`` is infinite.
+    without noise, all except ``rate`` are infinite. For an accelerometer, ``rate`` is infinite. For
+    windows with fewer than `LEAST_WINDOW` samples, ``variance`` and ``step`` are infinite.
     """
 
     variance: Floats
@@ -401,8 +402,8 @@ class NoiseFloor:
     def foreign(self, rows: Floats, windows: Windows, size: int) -> Flags:
         """Return which windows are not measurements in the units of this noise floor, (k,).
 
-        In such a window, gravity has another magnitude than in the noise floor, or samples of a
-        sensor are zero or repeated. ``rows``, (axes, k * size), are the samples of the windows.
+        In such a window, gravity has another magnitude than in the noise floor, or at least the
+        share `IDLE_SHARE` of the samples of a sensor with three axes are zero or repeated. ``rows``, (axes, k * size), are the samples of the windows.
         """
         is_foreign = np.zeros(windows.mean.shape[1], bool)
         for axes in self._known_sensors:
@@ -462,7 +463,7 @@ class NoiseFloor:
     def distance(self, windows: Windows) -> float:
         """Return the mean of abs(log(median variance of the windows / variance of this floor)).
 
-        The mean is over the axes.
+        The mean is over the axes for which this number is finite; it is 0 if there are none.
         """
         with np.errstate(invalid='ignore', divide='ignore'):
             log_ratio = np.log(_quantile(windows.variance, 0.5) / self.scale)

@@ -199,7 +199,10 @@ class NoiseLevels:
 
     @property
     def lost_s(self) -> float:
-        """Time in s from the first sample at rest to the first sample of the result."""
+        """Time in s from the first sample at rest to the first sample of the result.
+
+        It is 0 if the result was never replaced.
+        """
         if not self.lost:
             return 0.0
         end_ns = self.published.first_ns if self.published.samples else self._last_ns

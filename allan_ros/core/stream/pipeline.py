@@ -106,14 +106,15 @@ class ImuStream:
         self._ended = True
 
     def means(self) -> tuple[Means, ...]:
-        """Return the latest one-second means of static data of each sensor stream."""
+        """Return the latest one-second means of static data of each present sensor stream."""
         return tuple(stream.means for stream in self._present.sensors)
 
     def samples(self) -> dict[str, tuple[Stamps, Floats]]:
         """Return axis -> stamps in ns and values of all samples at rest, (n,) each, after `end`.
 
-        The samples have the frame_id with the most data, and follow the last change of its rate.
-        The result is empty unless ``with_samples`` was set.
+        The samples have the frame_id with the most data, follow the last change of its rate, and
+        belong to the noise level that is the result. The result is empty unless ``with_samples``
+        was set.
         """
         most_used = max(
             self._frames.values(), key=lambda each: each.counts.used, default=self._present
@@ -154,8 +155,8 @@ class ImuStream:
     ) -> tuple[StreamHealth, tuple[Finding, ...]]:
         """Return state and findings without computing new sums, which is faster than `result`.
 
-        ``sums`` are the sums of an earlier `result`. The counts do not include samples that are not
-        classified yet.
+        ``sums`` are the sums of an earlier `result`. Except for ``received``, the counts do not
+        include samples that are not classified yet, unless the noise floor is still being learned.
         """
         present = self._present.present
         if present.state not in ('waiting', 'learning'):

@@ -65,7 +65,10 @@ def present_faults(
 
 
 def noise_now(health: StreamHealth, sums: Iterable[AllanSums]) -> list[Finding]:
-    """Return a finding for each axis whose present noise is larger than in the Allan sums."""
+    """Return a finding for each axis whose present noise exceeds the noise in the Allan sums.
+
+    The ratio must exceed `LARGER_NOISE`.
+    """
     findings = []
     for each in sums:
         for axis, avar in zip(each.axes, each.avar[0] if len(each.m) else ()):

@@ -96,7 +96,7 @@ class RecentWindows:
     def white_noise(self) -> Floats:
         """Standard deviation of the white noise, (axes,), in the unit of the samples.
 
-        It is the standard deviation of the differences of neighboring samples, divided by sqrt(2).
+        It is the root mean square of the differences of neighboring samples, divided by sqrt(2).
         """
         return np.asarray(np.sqrt(0.5 * np.mean(np.diff(self.rows, axis=1) ** 2, axis=1)))
 

@@ -134,7 +134,10 @@ class RestFilter:
             motion.level, self._held = None, []
 
     def name_motion(self, kind: Change, samples: int) -> None:
-        """Count the samples of the present motion, which is no shock, as a change of the noise."""
+        """Count ``samples`` samples in motion as a change of the noise instead, and rename the motion.
+
+        The present motion is no shock.
+        """
         self.drop_shock()
         counts = self._counts
         counts.moving -= samples

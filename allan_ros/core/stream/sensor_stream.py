@@ -98,12 +98,16 @@ class SensorStream:
 
     @property
     def lost_s(self) -> float:
-        """Time in s from the first sample at rest to the first sample of the result."""
+        """Time in s from the first sample at rest to the first sample of the result.
+
+        It is 0 if the result was never replaced. After a change of the rate, it is the longest of
+        the times at all rates.
+        """
         return max(self._lost_s, self._levels.lost_s)
 
     @property
     def kept(self) -> list[ImuBatch]:
-        """The samples at rest; empty unless ``with_samples`` was set."""
+        """The samples at rest in the sums at the present rate; empty unless ``with_samples`` was set."""
         return self._levels.published.kept
 
     @property
@@ -118,7 +122,10 @@ class SensorStream:
 
     @property
     def state(self) -> State:
-        """'waiting' or 'learning' until the period is known, then the state of `MotionGate`."""
+        """'waiting' or 'learning' until the period is known, then the state of `MotionGate`.
+
+        If motion detection is switched off, the state is 'at_rest' as soon as the period is known.
+        """
         if self.gate is not None:
             return self.gate.state
         if self.clock.clock is not None and not self._settings.motion_gate:
@@ -126,7 +133,11 @@ class SensorStream:
         return 'learning' if len(self.clock.pending) else 'waiting'
 
     def by_rate(self) -> list[StreamSums]:
-        """Return the sums at the present sample rate and at the earlier rate with the most data."""
+        """Return the sums at the present sample rate and at the earlier rate with the most data.
+
+        If both rates are equal, the sums are added. Sums without samples are omitted, and the
+        present sums also if their samples come from two IMUs and there are earlier sums.
+        """
         sums, segments = self._levels.published.result
         former = [] if self._former is None else [self._former]
         if not sums.samples or (former and self.is_interleaved):

@@ -77,7 +77,8 @@ They differ because the driver rounds its results."""
 def clipped_share(samples: Floats) -> float:
     """Return the share of samples, (n,), that are clipped at their maximum or minimum.
 
-    A share below `MIN_CLIPPED` is returned as 0.
+    It is the larger of the two shares. A share below `MIN_CLIPPED` is returned as 0. Samples that
+    are not finite are ignored, and the maximum or minimum 0 does not count as clipped.
 
     >>> import numpy as np
     >>> noise = np.random.default_rng(0).normal(size=1000)
@@ -372,7 +373,8 @@ def _line_variance(flags: Flags) -> float:
 def _coincide(flags: Flags) -> bool:
     """Return whether the flags of the axes, (axes, n), coincide more often than by chance.
 
-    Returns False if all flags are set, because constant values are a different fault.
+    Returns False if all flags are set, because constant values are a different fault, and if the
+    flags of all axes coincide in at most the share `REPEATED_SHARE` of the samples.
     """
     joint_share = float(flags.all(axis=0).mean()) if flags.size else 0.0
     if not REPEATED_SHARE < joint_share < 1.0:

@@ -97,7 +97,7 @@ class SignalEnvelope:
     def start_ns(self) -> NDArray[np.int64]:
         """Stamp of the first sample of each bin, (bins,), in ns.
 
-        It is the header stamp, or the record time if the header stamps do not advance.
+        It is the header stamp, or the record time if the header stamps of all bins are equal.
         """
         header, record = self._start_ns[: self.bins].T
         stamps: NDArray[np.int64] = header if np.ptp(header) > 0 else record
@@ -260,7 +260,8 @@ class SignalSummary:
     def reach(self) -> Floats:
         """Largest distance of a sample from ``middle`` in the used bins, (6,), in SI.
 
-        If no bin is used, it is the largest distance in all bins. It is 1 for an absent axis.
+        If no used bin has a distance above 0, it is the largest distance in all bins. It is 1 for
+        an axis that is absent or constant.
         """
         sizes = np.fmax(np.abs(self.low - self.middle), np.abs(self.high - self.middle))
         for rows in (sizes[self.used], sizes):

@@ -178,7 +178,10 @@ class ConstantAxes:
 
 
 def faults_of(findings: Iterable[Finding], axis: str = '') -> tuple[Finding, ...]:
-    """Return the findings with an `UNUSABLE` id that concern all axes or the given ``axis``."""
+    """Return the findings with an `UNUSABLE` id that concern all axes or the given ``axis``.
+
+    Without an axis, all findings with such an id are returned.
+    """
     return tuple(
         f for f in findings if f.id in UNUSABLE and (not (axis and f.axes) or axis in f.axes)
     )
@@ -220,7 +223,10 @@ class TransportMonitor:
         stream: tuple[Finding, ...] = (),
         graph: tuple[Finding, ...] = (),
     ) -> tuple[Finding, ...]:
-        """Return the current findings, the most severe first; call it about once a second.
+        """Return the current findings; call it about once a second.
+
+        Findings about the present come before findings about past events, and the most severe
+        come first in both groups.
 
         ``transport`` and ``health`` contain the counts since the start. ``publishers`` are the
         names of the publishing nodes. After ``stale_after`` s without a message, this is reported.
