@@ -343,8 +343,8 @@ class RepeatFilter:
     """Interpolates samples that repeat the previous sample, in evenly spaced blocks.
 
     ``groups`` are lists of indices of axes. A sample that equals the previous sample on all axes of
-    a group is interpolated on these axes, unless more than `LONGEST_REPEAT` such samples follow each
-    other, or the segment ends before a new value. The last `LONGEST_REPEAT` samples are buffered
+    a group is interpolated on these axes, unless more than `LONGEST_REPEAT` such samples follow one
+    another, or the segment ends before a new value. The last `LONGEST_REPEAT` samples are buffered
     until more samples follow or the segment ends.
     """
 

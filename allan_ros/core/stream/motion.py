@@ -86,10 +86,10 @@ class MotionGate:
     It divides the samples into windows, removes spikes, and learns the noise floor, with which
     `RestFilter` decides about each window. After every `CHECKED_WINDOWS` windows, another noise
     level begins or continues if it fits these windows better than the present level.
-    ``period_ns`` is the sample period. A window is moving, for example, if its standard deviation is
+    ``period_ns`` is the sample period. For example, a window is moving if its standard deviation is
     more than ``settings.motion_ratio`` times the noise floor, or if its mean angular rate differs
-    from the rate at rest by more than ``settings.rate_limit`` and more than noise explains. ``levels``, ``events``, and the numbers of
-    spikes and splits in ``counts`` are changed in place.
+    from the rate at rest by more than ``settings.rate_limit`` and more than noise explains.
+    ``levels``, ``events``, and the numbers of spikes and splits in ``counts`` are changed in place.
     """
 
     def __init__(

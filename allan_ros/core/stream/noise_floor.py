@@ -403,7 +403,8 @@ class NoiseFloor:
         """Return which windows are not measurements in the units of this noise floor, (k,).
 
         In such a window, gravity has another magnitude than in the noise floor, or at least the
-        share `IDLE_SHARE` of the samples of a sensor with three axes are zero or repeated. ``rows``, (axes, k * size), are the samples of the windows.
+        share `IDLE_SHARE` of the samples of a sensor with three axes are zero or repeated.
+        ``rows``, (axes, k * size), are the samples of the windows.
         """
         is_foreign = np.zeros(windows.mean.shape[1], bool)
         for axes in self._known_sensors:

@@ -134,9 +134,9 @@ class RestFilter:
             motion.level, self._held = None, []
 
     def name_motion(self, kind: Change, samples: int) -> None:
-        """Count ``samples`` samples in motion as a change of the noise instead, and rename the motion.
+        """Count ``samples`` samples of the present motion as a change of the noise of this kind.
 
-        The present motion is no shock.
+        The present motion, if any, gets this kind, and is no shock.
         """
         self.drop_shock()
         counts = self._counts

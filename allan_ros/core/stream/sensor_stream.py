@@ -107,7 +107,10 @@ class SensorStream:
 
     @property
     def kept(self) -> list[ImuBatch]:
-        """The samples at rest in the sums at the present rate; empty unless ``with_samples`` was set."""
+        """The samples at rest at the present rate; empty unless ``with_samples`` was set.
+
+        They belong to the noise level that is the result.
+        """
         return self._levels.published.kept
 
     @property
