@@ -170,8 +170,8 @@ def analyze(
         limit * (1 + margin). It exceeds the earlier run if it is significantly higher, and the
         complete 95 % interval of the ratio of the two coefficients lies above 1 + margin.
     hardware_id : str
-        Serial number of the IMU. Only results with the same serial number and frame_id can be
-        added.
+        Serial number of the IMU. Results with a common axis can be added only if their serial
+        numbers and frame_ids are equal.
     processes : int
         Number of recordings that are read at the same time, each in its own process.
     **options

@@ -114,7 +114,7 @@ def analyze_recorded(
     Raises
     ------
     AllanError
-        When there are too few data at rest.
+        When the method is unknown, or there are too few data at rest.
     """
     skip = recorded.provenance.settings.get('skip', AUTO)
     may_exclude = isinstance(skip, (int, float)) and skip < 0.0
@@ -193,7 +193,7 @@ def analyze_sums(
     Raises
     ------
     AllanError
-        When there are too few data at rest.
+        When the method is unknown, or there are too few data at rest.
     """
     return analyze_recorded(RecordingSums('', tuple(sums), provenance), method)
 

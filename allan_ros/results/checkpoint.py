@@ -142,7 +142,8 @@ class Checkpoint:
     def save(self, total: Total) -> bool:
         """Write the total to the file if the total contains new samples.
 
-        Returns whether the file contains the total.
+        Returns whether this succeeded or, without new samples, whether this node may write the
+        file.
         """
         self._collect()
         return self._writable() and (
@@ -163,8 +164,8 @@ class Checkpoint:
     def start_over(self, total: Total) -> str:
         """Save the total, rename the file to ``<name>.previous``, and start with empty sums.
 
-        Returns the path of the renamed file. If the file cannot be written or renamed, its sums are
-        kept and '' is returned.
+        Returns the path of the renamed file, also if there was no file to rename. If the file
+        cannot be written or renamed, its sums are kept and '' is returned.
         """
         previous = f'{self.path}.previous'
         if self.save(total):

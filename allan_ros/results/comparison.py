@@ -219,7 +219,7 @@ class Inflation:
         return ','.join(f'{sensor}={significant(f, 3)}' for sensor, f in factors.items())
 
     def ratios(self, axis: str) -> list[Check]:
-        """Return the ratio of the Allan deviations of an axis for each averaging time.
+        """Return the ratio of the Allan deviations of an axis for each compared averaging time.
 
         Each ratio is the Allan deviation with motors on, divided by the Allan deviation with motors
         off.

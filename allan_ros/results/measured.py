@@ -27,8 +27,9 @@ CHANGE_WORDS: dict[Judgement, str] = {'alike': 'typical', 'higher': 'noisier', '
 def measured_values(results: Results) -> dict[tuple[str, str], Estimate]:
     """Return (sensor, term) -> N or B in SI, for each term that is resolved on all measured axes.
 
-    The value is the root mean square of the values of the axes of the sensor. The interval extends
-    over the intervals of all these axes.
+    Terms without a 95 % interval on one of these axes are excluded. The value is the root mean
+    square of the values of the axes of the sensor. The interval extends over the intervals of all
+    these axes.
     """
     estimates = {}
     for sensor, term in ((sensor, term) for sensor in SENSORS for term in 'NB'):

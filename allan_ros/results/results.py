@@ -230,9 +230,10 @@ class Results:
     def comparisons(self) -> tuple[Check, ...]:
         """The comparisons of the coefficients with the datasheet and with the earlier results.
 
-        Allan deviations are compared with the earlier results, too. If an Allan deviation of an
-        axis exceeds the earlier one although no coefficient of this axis does, the comparison of
-        the Allan deviation with the largest excess is included.
+        Coefficients that could not be compared with an earlier result are absent. Allan deviations
+        are compared with the earlier results, too. If an Allan deviation of an axis exceeds the
+        earlier one although no coefficient of this axis does, the comparison of the Allan deviation
+        with the largest excess is included.
         """
         earlier_checks: list[Check] = []
         pairs = [(name, run.measured, self.measured) for name, run in self.baselines.items()]

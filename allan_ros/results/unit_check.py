@@ -97,10 +97,12 @@ class UnitCheck:
 def check_unit(results: Results, plan: Plan | None = None) -> UnitCheck:
     """Decide whether an IMU passes a plan, its datasheet and the comparison with earlier results.
 
-    The decision is EXCEEDS if a limit is exceeded or an axis is broken. It is NOT_JUDGED if a
-    finding makes the IMU or its data suspect, if a comparison with a limit is undecided, or if
-    nothing was compared. Undecided comparisons of B and K with a datasheet or earlier results are
-    ignored if N is compared, because B and K often need a longer recording.
+    The decision is EXCEEDS if a limit is exceeded or an axis is broken. With too few data, a wrong
+    unit of measurement, or a recording of motion or of a warm-up, only limits of the plan count as
+    exceeded. Otherwise, the decision is NOT_JUDGED in these cases, if a finding makes the IMU or
+    its data suspect, if a comparison with a limit is undecided, or if nothing was compared.
+    Undecided comparisons of terms other than N with a datasheet or earlier results are ignored if N
+    is compared, because these terms often need a longer recording.
     """
     findings = by_consequence(results.findings)
     broken_findings = [f for f in findings if f.id in BROKEN]
@@ -127,6 +129,8 @@ def check_unit(results: Results, plan: Plan | None = None) -> UnitCheck:
 
 def worst(decisions: Sequence[Decision]) -> Decision:
     """Return the decision about a batch: the most severe decision about its IMUs.
+
+    Without IMUs, this is WITHIN.
 
     >>> worst([Decision.WITHIN, Decision.NOT_JUDGED, Decision.UNREADABLE]).name
     'UNREADABLE'

@@ -227,7 +227,7 @@ class AxisCurve:
         Number of second differences in each point.
     adev, ci_low, ci_high : (factors,) float64 arrays
         Allan deviation and its limits in the unit of the samples. The shape is (factors, axes) in
-        an `AllanCurve`.
+        an `AllanCurve`, and (factors, columns) for samples with several columns.
 
     Examples
     --------
