@@ -103,8 +103,8 @@ class Check:
         The measured number. It has neither value nor limit if only the ratio is known.
     lower, upper : float or None
         The limits; None for no limit. In a comparison with another recording, ``upper`` is the
-        value or the upper limit from the other recording; None if that number is 'likely' or
-        unknown.
+        value or the upper limit from the other recording; None if that number is 'likely',
+        unknown, or has no interval.
     ratio : Estimate
         Ratio of the measured number to ``upper``. If only one of two recordings resolves the
         number, the ratio has no value, and its interval (if any) begins at 0 or ends at infinity.

@@ -331,8 +331,9 @@ class Interval(NamedTuple):
     low: float
     high: float
 
-    # decrease of -2 log L from the coefficient 0 to the estimate, at most 400; 0 for a coefficient
-    # that may be negative
+    # decrease of -2 log L from the coefficient 0 to the estimate; 400 instead if the estimate is at
+    # least 20 standard errors, and 0 for a coefficient that may be negative. With unknown shapes,
+    # the decrease is divided by the square of the factor by which the interval is wider
     gain: float
 
     def times(self, factor: float) -> Interval:
