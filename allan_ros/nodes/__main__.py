@@ -50,7 +50,7 @@ watch = partial(start, 'watch')
 
 
 def main() -> int:
-    """Run the node that the first argument names."""
+    """Run the node that the first argument names; return 2 if it names none of `EXECUTABLES`."""
     if sys.argv[1:2] == [] or sys.argv[1] not in EXECUTABLES:
         print(f'usage: python -m allan_ros.nodes {{{",".join(EXECUTABLES)}}} ...', file=sys.stderr)
         return 2

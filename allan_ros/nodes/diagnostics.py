@@ -348,7 +348,10 @@ def _summary(view: AxisView, static_s: float, next_term: str) -> str:
 
 
 def _next_term(view: AxisView) -> str:
-    """Return text such as 'B and K need 2 h at rest'; '' if all relevant terms are resolved."""
+    """Return text such as 'B and K need 2 h at rest'; '' if all relevant terms are resolved.
+
+    The text is also '' before the first fit, and for other methods than 'likelihood'.
+    """
     if view.result is None or view.method != 'likelihood':
         return ''  # the required time is predicted only for the method likelihood
     limits = {c.quantity: c.limit for c in view.comparisons if c.tau is None}

@@ -216,7 +216,11 @@ class ImuEstimate(NodePart):
     # --- fitting ----------------------------------------------------------------------------------
 
     def _fit_if_due(self) -> None:
-        """Start a fit if the sums have changed enough and the last fit was long enough ago."""
+        """Start a fit if the sums have changed enough and the last fit was long enough ago.
+
+        If the sums have not changed enough, but there are new drives, only the factors in motion
+        are computed.
+        """
         if self._snapshot is None or self._fitting is not None:
             return
         if time.monotonic() < self._next_fit:

@@ -60,7 +60,8 @@ class FormerValues:
     def open(self) -> Mapping[str, Former]:
         """Lock the file, and return the values that a killed program has left in it.
 
-        Raises AllanError if another program has locked the file, or if the file cannot be read.
+        Raises AllanError if another program has locked the file, if the file cannot be read, or if
+        its folder cannot be created or written.
         """
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)

@@ -70,7 +70,7 @@ class LivePage:
     """Subscribes to the Allan sums of all accumulators, and serves reports of them over HTTP.
 
     A report is rendered when a browser requests it. ``port`` is the TCP port; 0 selects a free one.
-    Raises AllanError if the port is in use.
+    Raises AllanError if the port cannot be used, for example because it is in use.
     """
 
     def __init__(self, node: Node, port: int) -> None:

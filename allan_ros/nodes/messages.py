@@ -71,7 +71,10 @@ class Snapshot:
 
     @property
     def sums(self) -> tuple[AllanSums, ...]:
-        """One `AllanSums` with all axes, or one per sensor if their sample rates differ."""
+        """One `AllanSums` with all axes, or one per sensor if their rates or topics differ.
+
+        It is empty before the first static data.
+        """
         return self.total[0]
 
     def with_accel(self, accel: Snapshot) -> Snapshot:

@@ -50,7 +50,10 @@ class Estimator(AllanNode):
 
 
 class Relay(AllanNode):
-    """Subscribes to ``imu/data`` and ``noise_model``; publishes ``imu/data_with_covariance``."""
+    """Subscribes to ``imu/data``, ``noise_model`` and ``bias``; publishes messages with covariances.
+
+    The topic of the output is ``imu/data_with_covariance``.
+    """
 
     def __init__(self, **options: Any) -> None:
         super().__init__('allan_imu_relay', **options)

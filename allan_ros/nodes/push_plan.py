@@ -103,7 +103,10 @@ class Proposal:
     is_gain: bool = False
 
     def differs(self, other: Numbers) -> bool:
-        """Return whether a number differs from the number in ``other`` by more than `CHANGE`."""
+        """Return whether a number differs from the number in ``other`` by more than `CHANGE`.
+
+        `CHANGE` is a fraction of the number in ``other``. Values of different lengths differ.
+        """
         if len(other) != len(self.values):
             return True
         return not all(abs(v - c) <= CHANGE * abs(c) for v, c in zip(self.values, other))

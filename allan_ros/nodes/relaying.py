@@ -179,7 +179,10 @@ class ModelInput:
         return str(self._model.topic_name)
 
     def findings(self, now: float) -> list[Finding]:
-        """Return findings if the noise model cannot be read, or if no node publishes one."""
+        """Return findings if the noise model cannot be read, or if no node publishes one.
+
+        A missing publisher is reported `DISCOVERY_S` after the start, unless a model was received.
+        """
         found = [self._unreadable] if self._unreadable else []
         has_waited = now - self._began > DISCOVERY_S
         if self._results is None and has_waited and not self._node.count_publishers(self.topic):

@@ -75,7 +75,7 @@ def run(
     """Run a node until it receives SIGINT or SIGTERM or stops itself, and return the exit code.
 
     The exit code is 0, or 1 if the node cannot start (invalid parameters, a missing file); the
-    reason is then logged in one line.
+    reason is then logged in one line. If the options are invalid, ``parser`` raises SystemExit.
 
     ``make_node`` returns the node. Its arguments are an event and the options of the command line.
     Setting the event stops the node. ``parser`` parses the options from ``args`` (by default,

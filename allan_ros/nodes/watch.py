@@ -159,7 +159,7 @@ def document(rows: Sequence[StatusRow]) -> str:
 
 
 class Watch(Node):
-    """Node that displays the latest status of each name on `/diagnostics`."""
+    """Node that displays the latest statuses of allan_ros nodes on `/diagnostics`, one for each name."""
 
     def __init__(self, options: argparse.Namespace, stop: threading.Event) -> None:
         super().__init__('allan_watch')
@@ -305,7 +305,10 @@ class Watch(Node):
 
 
 def terminal() -> Console | None:
-    """Return the console of rich; None if stdout is not a terminal, or rich is not installed."""
+    """Return the console of rich; None if stdout is not a terminal, or rich is not installed.
+
+    A terminal with ``TERM=dumb`` does not count as a terminal.
+    """
     if not sys.stdout.isatty() or os.environ.get('TERM') == 'dumb':
         return None
     try:
