@@ -50,7 +50,7 @@ class Estimator(AllanNode):
 
 
 class Relay(AllanNode):
-    """Subscribes to ``imu/data``, ``noise_model`` and ``bias``; publishes messages with covariances.
+    """Subscribes to ``imu/data``, ``noise_model`` and ``bias``; publishes Imus with covariances.
 
     The topic of the output is ``imu/data_with_covariance``.
     """

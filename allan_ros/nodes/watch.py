@@ -159,7 +159,10 @@ def document(rows: Sequence[StatusRow]) -> str:
 
 
 class Watch(Node):
-    """Node that displays the latest statuses of allan_ros nodes on `/diagnostics`, one for each name."""
+    """Node that displays the latest status of each name on `/diagnostics`.
+
+    Only statuses of allan_ros nodes are displayed.
+    """
 
     def __init__(self, options: argparse.Namespace, stop: threading.Event) -> None:
         super().__init__('allan_watch')
