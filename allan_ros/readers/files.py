@@ -278,7 +278,10 @@ _Loader.add_implicit_resolver(
 
 
 def parse_yaml(text: str) -> Any:
-    """Parse a YAML or JSON text; raise yaml.YAMLError if it is invalid or not supported."""
+    """Parse a YAML or JSON text; raise yaml.YAMLError if it is invalid or not supported.
+
+    A date that does not exist, such as 2026-02-30, raises ValueError.
+    """
     loader = _Loader(text)
     try:
         return loader.get_single_data()

@@ -54,7 +54,7 @@ _SPELLINGS = {
 
 
 def plain_unit(text: str) -> str:
-    """Return a unit in lower case, without spaces, dots, brackets and the signs ^ and *.
+    """Return a unit in lower case, without spaces, dots, parentheses and the signs ^ and *.
 
     Superscripts, the sign of degrees, and the letter of micro are replaced by ASCII. The words of
     units are abbreviated only if the unit has several parts. The sign _ becomes /.
