@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Write the header comment of an exported file, and the file in its format."""
+"""Texts of exported files: the comment at the top, and the numbers in the format of the file."""
 
 from __future__ import annotations
 

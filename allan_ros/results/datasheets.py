@@ -29,6 +29,7 @@ from ..core.findings import Finding, finding, quantity
 from ..core.fit.result import TERMS
 from ..core.imu import AXES, SI_UNITS, sensor_of
 from ..core.noise import FLICKER_FLOOR
+from ..core.settings import MAX_FLOAT
 from ..readers.files import config_file, config_names, read_yaml
 
 SCHEMA = 'allan_ros/sensor/1'
@@ -125,7 +126,8 @@ def measured_from_document(fields: Fields) -> Measured:
         for term in terms:
             entry = terms.fields(term)
             entry.only('value', 'low', 'high', 'unit')
-            factor = entry.quantity(SI_UNITS[sensor][term]) / entry.number('value')
+            stated = entry.number('value', 1.0 / MAX_FLOAT)
+            factor = entry.quantity(SI_UNITS[sensor][term]) / stated
             value, low, high = (entry.number(key) * factor for key in ('value', 'low', 'high'))
             values.setdefault(sensor, {})[term] = Estimate(value, (low, high))
     return fields.record(Measured, values=values)

@@ -139,6 +139,14 @@ def test_a_unit_is_compared_with_the_measured_units(
     assert known['verdict'] == 'higher'
 
 
+def test_a_measured_value_must_be_above_zero(tmp_path: Path) -> None:
+    entry = {'value': 0.0, 'low': 0.0, 'high': 1.0, 'unit': 'rad/s/sqrt(Hz)'}
+    sheet = tmp_path / 'x1.yaml'
+    sheet.write_text(yaml.safe_dump({**SHEET, 'measured': [{'by': 'Y', 'gyro': {'N': entry}}]}))
+    with pytest.raises(AllanError, match='value'):
+        load_sensor(str(sheet))
+
+
 def test_the_catalogue_names_who_measured(capsys: pytest.CaptureFixture[str]) -> None:
     measured = [one for name in sensor_names() for one in load_sensor(name).measured]
     assert len(measured) >= 5

@@ -299,7 +299,7 @@ def common_step(phase: Floats, deviation: float) -> float | None:
     numbers have the unit of the samples.
     """
     least_step = NEGLIGIBLE_STEP * deviation
-    # The sums of two blocks of samples differ by a few steps, which numerical errors hardly change.
+    # Differences between sums of blocks are only a few steps: numerical errors hardly affect them.
     multiples = np.abs(np.concatenate([phase, np.diff(np.sort(np.diff(phase)))]))
     magnitudes = np.unique(multiples[multiples > least_step])
     if len(magnitudes) < LEAST_POINTS or not deviation > 0.0:

@@ -282,7 +282,9 @@ class AllanCurve(AxisCurve):
 def sample_period(sums: AllanSums) -> float:
     """Return the sample period in s; raise `AllanError` if no segment has two samples."""
     if sums.tau0 is None:
-        raise AllanError('an Allan curve needs at least two samples: record for some minutes')
+        raise AllanError(
+            'an Allan curve needs at least two samples without a gap: record for some minutes'
+        )
     return sums.tau0
 
 
@@ -331,7 +333,7 @@ def degrees_of_freedom(sums: AllanSums, m: Ints, stride: Ints, types: Ints) -> F
     """
     dof = np.empty(types.shape)
     lengths = [round(samples) for samples, _ in sums.length_histogram]
-    segments_of_length = [how_many for _, how_many in sums.length_histogram]
+    segments_of_length = [number for _, number in sums.length_histogram]
     for i in range(len(m)):
         differences_per_segment = np.array([counts(n, m[i], stride[i]) for n in lengths])
         degrees_of_type = {

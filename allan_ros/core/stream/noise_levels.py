@@ -210,7 +210,7 @@ class NoiseLevels:
 
     @property
     def lasts_longer(self) -> bool:
-        """Whether the present level is only tried, but has more samples than the other level."""
+        """Whether the present level is on trial, but has more samples than the other level."""
         return (
             self.is_tried and self.other is not None and self.present.samples > self.other.samples
         )
