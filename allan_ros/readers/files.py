@@ -278,15 +278,14 @@ _Loader.add_implicit_resolver(
 
 
 def parse_yaml(text: str) -> Any:
-    """Parse a YAML or JSON text; raise yaml.YAMLError if it is invalid or not supported.
-
-    A date that does not exist, such as 2026-02-30, raises ValueError.
-    """
+    """Parse a YAML or JSON text; raise yaml.YAMLError if it is invalid or not supported."""
     loader = _Loader(text)
     try:
         return loader.get_single_data()
     except RecursionError:
         raise yaml.YAMLError('it is nested too deeply') from None
+    except ValueError as error:  # such as a date that does not exist
+        raise yaml.YAMLError(str(error)) from error
     finally:
         loader.dispose()
 

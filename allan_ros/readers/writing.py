@@ -144,8 +144,8 @@ def write_table(path: Path, batches: Iterable[ImuBatch]) -> int:
     delimiter = '\t' if path.suffix.lower() == '.tsv' else ','
     written = 0
     with path.open('w', encoding='utf-8', newline='\n') as file:
-        for batch in batches:
-            if not written:
+        for index, batch in enumerate(batches):
+            if index == 0:
                 file.write(f'{FRAME_COMMENT} {" ".join(batch.frame_id.split())}\n')
                 file.write(delimiter.join(['stamp_ns', *AXES]) + '\n')
             columns = [map(str, batch.stamps_ns.tolist())]
@@ -160,7 +160,7 @@ def _write_npz(path: Path, batches: Iterable[ImuBatch]) -> int:
 
     All samples are kept in memory.
     """
-    whole = joined(list(batches))
+    whole = joined(list(batches) or [ImuBatch.empty(len(AXES))])
     imu = np.column_stack([whole.stamps_ns / NANOSECONDS, whole.samples])
     with path.open('wb') as file:
         np.savez(file, imu=imu, stamps_ns=whole.stamps_ns, frame_id=np.array(whole.frame_id))

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from allan_ros.core.errors import AllanError
-from allan_ros.readers.files import config_file, write_atomic
+from allan_ros.readers.files import config_file, read_yaml, write_atomic
 
 
 def test_content_replaces_content(tmp_path: Path) -> None:
@@ -61,3 +61,10 @@ def test_configuration_files_are_found_without_a_home_folder(
     monkeypatch.delenv('XDG_CONFIG_HOME', raising=False)
     monkeypatch.setattr(os.path, 'expanduser', lambda path: path)  # as without a home folder
     assert config_file('sensors', 'mpu6050', 'datasheet').name == 'mpu-6050.yaml'
+
+
+def test_a_date_that_does_not_exist_is_an_error_of_the_file(tmp_path: Path) -> None:
+    path = tmp_path / 'a.yaml'
+    path.write_text('measured: 2024-13-45')
+    with pytest.raises(AllanError, match='is not YAML'):
+        read_yaml(path)

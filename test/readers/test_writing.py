@@ -83,6 +83,14 @@ def test_no_character_of_a_path_is_special(tmp_path: Path) -> None:
     assert len(read(tmp_path / 'run?a=1#50%').stamps_ns) == 10
 
 
+@pytest.mark.parametrize('name', ['a.csv', 'a.npz'])
+def test_batches_without_samples_change_no_file(name: str, tmp_path: Path) -> None:
+    batches = [ImuBatch.empty(6), *imu_batches(10)]
+    assert write_recording(tmp_path / name, batches) == 10
+    assert np.array_equal(read(tmp_path / name).samples, joined(batches).samples)
+    assert write_recording(tmp_path / f'no_{name}', []) == 0
+
+
 def test_others_read_our_bags(tmp_path: Path) -> None:
     from rosbags.highlevel import AnyReader
 
