@@ -2,11 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Rounding errors of a counter: their shape is computed from the step and the mean of the samples.
 
-Why likelihood does not find the correlation
---------------------------------------------
-A fit of plain quantization noise to such samples has a wrong N and Q. The difference between the
-two spectra is mostly a combination of the spectra of Q and N. Therefore, a search by likelihood
-would find the correlation of the errors only in data in which N and Q are already wrong by several
+Why the shape is computed
+-------------------------
+If the rounding errors are correlated, a fit with quantization noise, which assumes independent
+errors, has a wrong N and Q. The spectrum of the correlated errors differs from the spectrum of
+quantization noise mostly by a combination of the spectra of Q and N. Therefore, a search by
+likelihood would find the correlation only in data from which N and Q are already wrong by several
 standard errors.
 """
 
@@ -42,7 +43,7 @@ def rounding_errors(sums: AllanSums, axis: int, data: AxisData) -> Process | Non
     """Return the rounding errors of a counter with a large step, or None.
 
     The result is None if no step is found, if the step is too small (`LEAST_RATIO`), or if the
-    fitted errors do not have the variance step^2/12 (`LARGEST_DIFFERENCE`).
+    fitted variance of the errors is not near step^2/12 (`LARGEST_DIFFERENCE`).
 
     ``data`` are the statistics of the axis. The shape of the result is in samples.
 

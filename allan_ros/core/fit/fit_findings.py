@@ -49,8 +49,8 @@ HARMONIC, HIGHEST_HARMONIC = 0.01, 6.5
 limit of this multiple. The limit is needed because every frequency is near some high multiple."""
 
 MOST_LINES = 3
-"""Largest number of oscillations in the model of an axis that may have an external cause, such as a
-fan, without hiding the noise."""
+"""Largest number of oscillations in the model of an axis that are not regarded as a disturbance. A
+machine beside the sensor, such as a fan, causes as many."""
 
 SLOW_HZ = 3.0
 """Frequency in Hz below which an oscillation counts as motion. Machines and buildings vibrate

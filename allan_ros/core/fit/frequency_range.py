@@ -50,7 +50,8 @@ all frequencies, the second for a fit without the highest octaves of the data. W
 condition, several processes may imitate the filter, and the fit takes up to four times as long."""
 
 HIGHEST = 0.375
-"""Frequency in cycles per sample above which a low-pass filter removes most power."""
+"""Lowest frequency, in cycles per sample, of the range in which the power is compared with
+`EXPLAINED`. In this range, a low-pass filter removes most power."""
 
 EXPLAINED = 0.92
 """Least power above `HIGHEST`, relative to a fit with a fast Gauss-Markov process, for which this
@@ -247,6 +248,7 @@ def _highest(rules: Selection) -> _Trial:
 
     A trial that does not use all frequencies passes only if the highest octave of the data has less
     power than the white noise of the model.
+
     A trial that nearly passes is fair (`_Verdict.is_fair`). After the first fair trial, only a half
     and a quarter of its frequency are tried. If a low-pass filter is the cause, the model passes at
     one of these frequencies. If no trial passes, the result is the fair trial, or the first trial
@@ -282,9 +284,10 @@ def _bends_like_noise(rules: Selection) -> bool:
     """Return whether a fast Gauss-Markov process explains a spectrum that bends.
 
     The process is fitted together with the random terms, which include white noise. Bins in which a
-    sinusoid dominates are not used. Unlike with a low-pass filter, the white noise is resolved, and
-    the ratio of the power above `HIGHEST` to the power of the fit exceeds `EXPLAINED`. The ratio is
-    the median over the bins, on which a few sinusoids have no effect.
+    sinusoid dominates are not used. The result is True if the white noise is resolved, and if the
+    ratio of the power above `HIGHEST` to the power of the fit exceeds `EXPLAINED`; with a low-pass
+    filter, the ratio is smaller. It is the median over the bins, on which a few sinusoids have no
+    effect.
     """
     data = rules.data
     fit = _with_fast_process(rules)

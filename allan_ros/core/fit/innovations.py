@@ -30,7 +30,10 @@ LEAST_MEANS = 8
 
 
 class _Predictor(NamedTuple):
-    """Prediction of the differences between neighboring block means of an axis."""
+    """Prediction of the differences between neighboring block means of an axis.
+
+    Differences are predicted, because the mean of the bias is unknown.
+    """
 
     root: Floats  # Cholesky factor of the covariance of the differences
     share: Floats  # share of the drift in the variance of each innovation
@@ -59,7 +62,10 @@ class _Predictor(NamedTuple):
         return cls(root, np.diag(whitened))
 
     def innovations(self, differences: Floats, effects: Floats) -> Floats:
-        """Return the innovations of differences, (n,), minus ``effects``, (n, effects)."""
+        """Return the innovations, (n,), of differences, (n,), after effects are subtracted.
+
+        Each column of ``effects``, (n, effects), is one effect, whose size is fitted.
+        """
         n = len(differences)
         whitened = np.linalg.solve(self.root[:n, :n], np.column_stack([effects, differences]))
         sizes = np.linalg.lstsq(whitened[:, :-1], whitened[:, -1], rcond=None)[0]
@@ -69,14 +75,16 @@ class _Predictor(NamedTuple):
 def innovation_levels(
     sums: AllanSums, fits: Sequence[AxisFit], settlings: Mapping[int, float]
 ) -> PeriodLevels:
-    """Return the level of the drift in each block mean.
+    """Return the level of the drift in each block mean except the first of each segment.
 
     The level of a block mean is the square of its innovation, with one degree of freedom. Both are
-    0 for an axis whose model has no drift, or too small a share of drift (`LEAST_SHARE`).
+    0 for an axis whose model has no drift, or whose drift has a mean share below `LEAST_SHARE` in
+    the variance of the innovations.
 
     Parameters
     ----------
     sums : AllanSums
+        Sums with the block means.
     fits : sequence of AxisFit
         Fit of each axis.
     settlings : mapping of int to float
@@ -114,7 +122,7 @@ def innovation_levels(
 def _of_differences(gamma: Floats) -> Floats:
     """Return the covariance of the differences between neighboring means, (n, n).
 
-    ``gamma`` has the autocovariance of the means at the lags 0 to n.
+    ``gamma``, (n + 1,), is the autocovariance of the means at the lags 0 to n.
     """
     lag = np.arange(len(gamma) - 1)
     values = 2.0 * gamma[lag] - gamma[np.abs(lag - 1)] - gamma[lag + 1]
@@ -122,7 +130,10 @@ def _of_differences(gamma: Floats) -> Floats:
 
 
 def _effects(means: BlockMeans, time: float) -> Floats:
-    """Return the differences of a ramp, and of a settling with the time constant ``time``."""
+    """Return the effects of a ramp and of a settling on the differences, (n, effects).
+
+    ``time`` is the time constant of the settling in samples; 0 for none.
+    """
     number = len(means.values)
     effects = [np.ones(number - 1)]
     if time:

@@ -136,7 +136,7 @@ def fit_curve(tau: ArrayLike, adev: ArrayLike, record: float | None = None) -> A
     Raises
     ------
     AllanError
-        If there are too few valid points, or the recording is not finite or is shorter than twice
+        If there are too few valid points, or if ``record`` is not finite or is shorter than twice
         the longest averaging time.
 
     Examples

@@ -45,7 +45,7 @@ the highest N of the parts. Periods that are longer are not divided."""
 
 LEAST_SHARE = 0.3
 """The level of the drift is measured in bins in which the drift has more than this share of the
-power."""
+power, and in block means whose innovations have at least this share of drift in their variance."""
 
 LARGEST_SETTLING = 0.01
 """The level of the drift is measured in bins in which a settling has less than this share of the

@@ -182,8 +182,8 @@ def _with_scatter(
 ) -> NoiseModel:
     """Return the model with predictive intervals for sensors whose noise varies with time.
 
-    ``levels`` are the levels of the white noise, and ``drifts`` are levels of the drift at several
-    frequencies. The largest scatter of the drift is used.
+    ``levels`` are the levels of the white noise, and ``drifts`` are the levels of the drift in
+    the spectra and in the block means, of which the larger scatter is used.
     """
     axes = dict(model.axes)
     names = list(axes)

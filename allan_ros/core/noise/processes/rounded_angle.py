@@ -14,7 +14,7 @@ from ..process import CORRELATION_TIME, FREQUENCY, Floats, Process
 from .quantization import Quantization
 
 SMALLEST_EXPONENT = 39.0
-"""Exponent x above which exp(-x) is negligible compared with 1."""
+"""Smallest x for which exp(-x) is neglected compared with 1."""
 
 
 @dataclass(frozen=True)
@@ -25,8 +25,8 @@ class RoundedAngle(Process):
     sample. The rounding error is a sawtooth function of the angle. If the angle increases by a mean
     of f steps per unit of time, with white noise, the autocovariance of the error at a lag of t is
     6/pi^2 times the sum of exp(-n^2 t/T) cos(2 pi n f t)/n^2 over n = 1, 2, ... The time T is
-    step^2/(2 pi^2 N^2). If T is far below the sample period, the errors are white, and the process
-    is quantization noise.
+    step^2/(2 pi^2 N^2), or shorter if the mean rate drifts. If T is far below the sample period,
+    the errors are white, and the process is quantization noise.
 
     The series follows from the Fourier series of the sawtooth, and from the characteristic function
     of a Gaussian change of the angle (B. Widrow and I. Kollar, Quantization Noise, 2008).
@@ -40,7 +40,7 @@ class RoundedAngle(Process):
     parameters = (FREQUENCY, CORRELATION_TIME)
     finding = 'counter'
     replaces = Quantization
-    no_states = 'its integral is a function of the angle, and no drift'
+    no_states = 'its integral is a rounding error, which depends on the angle and does not grow'
 
     frequency: float = 0.0
     correlation_time: float = 1.0
@@ -51,7 +51,7 @@ class RoundedAngle(Process):
         return np.asarray((2.0 * at - before - after) / M**2)
 
     def _of_error(self, lag: Floats) -> Floats:
-        """Return the autocovariance of the rounding error at lags in samples."""
+        """Return the autocovariance of the rounding error at lags in samples, for unit variance."""
         total, lags = np.ones(lag.shape), lag[lag > 0.0]
         if not lags.size:
             return total
