@@ -43,8 +43,8 @@ NEGLIGIBLE_STEP = 0.02
 of a sample. Such a step increases the variance of the samples by a fraction of only 3e-5."""
 
 WHOLE_TOLERANCE = 0.05
-"""A phase value is a multiple of a step if the ratio of the two differs from a whole number by less
-than this value."""
+"""A number is a multiple of a step if the ratio of the two differs from a whole number by less than
+this value."""
 
 LARGEST_SHARE = 1.05
 """Largest ratio of the variance of the rounding error to the variance of the white noise. The white
@@ -52,8 +52,8 @@ noise contains independent rounding errors. A larger ratio therefore shows that 
 of successive samples are not independent."""
 
 LEAST_POINTS = 8
-"""Fewest different phase values among which a rounding step is searched for. A few values can be
-multiples of some step by chance."""
+"""Fewest different numbers in which a rounding step is searched for: phase values, and differences
+between sums of blocks. A few numbers can be multiples of some step by chance."""
 
 ROUNDING_SHARE = 0.1
 """Least ratio of the variance of the rounding error to the variance of the white noise for which
@@ -263,6 +263,7 @@ def rounding_step(sums: AllanSums, axis: int, white: float) -> float | None:
 
     The result is None if no step is found, if the step is negligible (`ROUNDING_SHARE`), or if the
     rounding errors of successive samples are not independent (`LARGEST_SHARE`).
+
     ``white`` is the variance of the white noise of a sample. If the rounding errors of successive
     samples are independent, this variance contains the variance step^2/12 of these errors. A
     counter that carries its remainder to the next sample has less white noise: its rounding error
@@ -291,7 +292,7 @@ def any_step(sums: AllanSums, axis: int, deviation: float) -> float | None:
 def common_step(phase: Floats, deviation: float) -> float | None:
     """Return the largest step of which all phase values are multiples, or None if there is none.
 
-    None is also returned if there are fewer than `LEAST_POINTS` different values, or if
+    None is also returned if there are fewer than `LEAST_POINTS` different numbers, or if
     ``deviation`` is not above 0. If the samples are rounded, the result is the rounding step.
 
     ``phase``, (n,), contains cumulative sums of samples. ``deviation`` is the standard deviation of
@@ -299,7 +300,7 @@ def common_step(phase: Floats, deviation: float) -> float | None:
     numbers have the unit of the samples.
     """
     least_step = NEGLIGIBLE_STEP * deviation
-    # Differences between sums of blocks are only a few steps: numerical errors hardly affect them.
+    # The sorted sums of blocks differ by only a few steps, so numerical errors hardly matter.
     multiples = np.abs(np.concatenate([phase, np.diff(np.sort(np.diff(phase)))]))
     magnitudes = np.unique(multiples[multiples > least_step])
     if len(magnitudes) < LEAST_POINTS or not deviation > 0.0:

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Measures noise that sensors at rest have in common (vibration), and the own noise of each sensor.
+"""Noise that sensors at rest have in common, such as vibration, and the own noise of each sensor.
 
 Method
 ------

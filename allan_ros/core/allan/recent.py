@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Find steps of the noise level in recent data from the Allan sums of periods."""
+"""Steps of the noise level in recent data, found from the Allan sums of periods."""
 
 from __future__ import annotations
 

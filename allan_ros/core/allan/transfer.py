@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Tests by cross spectra whether several sensors measure a common signal equally.
+"""Test by cross spectra whether several sensors measure a common signal equally.
 
 Method
 ------
