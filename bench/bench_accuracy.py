@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import argparse
 import math
-import os
 import pickle
 import runpy
 import time
@@ -26,6 +25,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from bench_offline import SHARED
 
 import allan_ros as ar
 from allan_ros.core.allan.running import RunningSums
@@ -335,11 +335,10 @@ def shared_recordings() -> dict[str, np.ndarray]:
 
     The samples are (n, 7): time in s, then the axes of the gyro and of the accelerometer in SI.
     """
-    data = Path(os.environ.get('ALLAN_ROS_SHARED', '../shared')) / 'data'
-    static = runpy.run_path(str(data / 'static' / 'load.py'))['load']
-    adis = runpy.run_path(str(data / 'adis16405' / 'load.py'))['load']
+    static = runpy.run_path(str(SHARED / 'static' / 'load.py'))['load']
+    adis = runpy.run_path(str(SHARED / 'adis16405' / 'load.py'))['load']
     recordings = {unit: adis(unit) for unit in ('imu1', 'imu2', 'imu4')}
-    for file in sorted(data.glob('static/*.npz')):
+    for file in sorted(SHARED.glob('static/*.npz')):
         t, gyro, accel = static(file.stem)
         if accel is not None and gyro.shape[1] == 3:
             recordings[file.stem] = np.column_stack([t, gyro, accel])

@@ -27,6 +27,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 ROOT = Path(__file__).resolve().parents[1]
+
+SHARED = Path(os.environ.get('ALLAN_ROS_SHARED', ROOT.parent / 'shared')) / 'data'
+"""Folder of the shared recordings."""
 sys.path.insert(0, str(ROOT))
 os.environ.update(OPENBLAS_NUM_THREADS='1', PYTHONPATH=str(ROOT))
 # with this variable, each process would compile the package again, which takes 0.5 s

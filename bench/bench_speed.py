@@ -19,14 +19,12 @@ import statistics
 import sys
 import tempfile
 from collections.abc import Callable
-from importlib.util import find_spec, module_from_spec, spec_from_file_location
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import bench_offline as offline
 import numpy as np
-
-SHARED = Path(os.environ.get('ALLAN_ROS_SHARED', offline.ROOT.parent / 'shared')) / 'data'
 
 IMPORTS = 'import numpy, scipy.linalg, scipy.special'
 """The modules of numpy and scipy that an analysis imports."""
@@ -68,8 +66,11 @@ def analysis(setting: Setting) -> str:
     """Return the CPU time of ``allan analyze -o`` as a multiple of importing numpy and scipy."""
     minute = offline.bag(setting.folder, 'mcap zstd', offline.MINUTE)
     inputs = [minute]
-    if (SHARED / 'adis16405').is_dir():
-        inputs.append(saved(setting.folder / 'adis.npz', adis16405('imu2')[:ADIS_SAMPLES]))
+    if offline.SHARED.is_dir():
+        from bench_accuracy import shared_recordings
+
+        rows = shared_recordings()['imu2'][:ADIS_SAMPLES]
+        inputs.append(saved(setting.folder / 'imu2_42_min.npz', rows))
     ratios = []
     for path in inputs:
         runs = [(analyzed(setting.folder, path), imported()) for _ in range(setting.rounds)]
@@ -79,7 +80,7 @@ def analysis(setting: Setting) -> str:
 
 def slowest(setting: Setting) -> str:
     """Return the longest CPU time in s of ``allan analyze -o`` for a shared recording."""
-    if not SHARED.is_dir():
+    if not offline.SHARED.is_dir():
         return ''
     costs = {path.name: analyzed(setting.folder, path) for path in recordings(setting.folder)}
     name = max(costs, key=lambda each: costs[each])
@@ -167,34 +168,17 @@ def saved(path: Path, imu: np.ndarray) -> Path:
     return path
 
 
-def loader(folder: Path) -> Any:
-    """Return the function `load` of the file load.py in a folder."""
-    spec = spec_from_file_location('load', folder / 'load.py')
-    assert spec is not None and spec.loader is not None
-    module = module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module.load
-
-
-def adis16405(name: str) -> np.ndarray:
-    """Return t, gyro and accelerometer of a recording of the ADIS16405, (n, 7)."""
-    return np.asarray(loader(SHARED / 'adis16405')(name))
-
-
 def recordings(folder: Path) -> list[Path]:
     """Return the paths of the shared recordings that have at least 20 s of data at rest."""
-    found = [saved(folder / f'adis_{n}.npz', adis16405(f'imu{n}')) for n in (1, 2, 4)]
-    load = loader(SHARED / 'static')
-    for path in sorted((SHARED / 'static').glob('*.npz')):
-        t, gyro, accel = load(path.stem)
-        if accel is not None and gyro.shape[1] == 3:
-            found.append(saved(folder / path.name, np.column_stack([t, gyro, accel])))
+    from bench_accuracy import shared_recordings
+
+    found = [saved(folder / f'{name}.npz', rows) for name, rows in shared_recordings().items()]
     names = ('phidgets_imu_upside_down', 'robot_localization_test1', 'tilt_laser')
     return [
         *found,
-        SHARED / 'mpu6050.npz',
-        *(SHARED / 'bags' / f'{name}.bag' for name in names),
-        *sorted((SHARED / 'ulog').glob('*.ulg')),
+        offline.SHARED / 'mpu6050.npz',
+        *(offline.SHARED / 'bags' / f'{name}.bag' for name in names),
+        *sorted((offline.SHARED / 'ulog').glob('*.ulg')),
     ]
 
 

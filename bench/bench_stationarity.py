@@ -24,7 +24,8 @@ from scipy.stats import beta
 import allan_ros as ar
 from allan_ros.core.allan.running import RunningSums
 from allan_ros.core.allan.sums import AllanSums
-from allan_ros.core.filters.growth import growth_table
+from allan_ros.core.estimate import Z_95
+from allan_ros.core.filters.growth import GROWTH_WINDOW_S, growth_table
 from allan_ros.core.fit import bias_changes, settling
 from allan_ros.core.fit.methods import fit_noise
 from allan_ros.core.fit.result import NoiseModel
@@ -157,19 +158,23 @@ def show_power(records: int, seed: int) -> Iterator[tuple[str, ...]]:
 
 # --- real recordings ------------------------------------------------------------------------------
 
-LEAST_PART_S = 60.0
-"""Shortest part in s into which a real recording is divided."""
+LEAST_SIXTH_S, LEAST_HALF_S = 60.0, 600.0
+"""Shortest sixth and shortest half in s into which a real recording is divided."""
+
+HORIZONS_S = 10.0, 30.0, 100.0
+"""Times in s over which the samples of a half are integrated."""
 
 
-def parts_of(rows: Floats, number: int) -> tuple[float, list[Floats]]:
+def parts_of(rows: Floats, number: int, least_s: float) -> tuple[float, list[Floats]]:
     """Return the rate of a recording in Hz, and the samples of its parts of equal length.
 
-    ``rows`` has the time and the samples. There are no parts if they would be too short.
+    ``rows`` has the time and the samples. There are no parts if they would last less than
+    ``least_s`` seconds.
     """
     rows = rows[np.isfinite(rows).all(axis=1)]
     rate = (len(rows) - 1) / (rows[-1, 0] - rows[0, 0])
     n = len(rows) // number
-    if n < LEAST_PART_S * rate:
+    if n < least_s * rate:
         return rate, []
     return rate, [rows[k * n : (k + 1) * n, 1:] for k in range(number)]
 
@@ -177,7 +182,7 @@ def parts_of(rows: Floats, number: int) -> tuple[float, list[Floats]]:
 def log_std(ends: tuple[float, float] | None) -> float:
     """Return the standard error of the logarithm of a number with a 95 % interval."""
     low, high = ends or (0.0, math.inf)
-    return math.log(high / low) / 3.92 if low > 0.0 else math.inf
+    return math.log(high / low) / (2.0 * Z_95) if low > 0.0 else math.inf
 
 
 def show_sixths(records: int, seed: int) -> Iterator[tuple[str, ...]]:
@@ -188,7 +193,7 @@ def show_sixths(records: int, seed: int) -> Iterator[tuple[str, ...]]:
     of a coefficient that is not resolved.
     """
     for name, rows in shared_recordings().items():
-        rate, parts = parts_of(rows, 6)
+        rate, parts = parts_of(rows, 6, LEAST_SIXTH_S)
         fits = [ar.analyze(y, rate=rate, motion_gate=False) for y in parts]
         for sensor in ('gyro', 'accel') if fits else ():
             for term in 'NBK':
@@ -221,7 +226,8 @@ def show_sixths(records: int, seed: int) -> Iterator[tuple[str, ...]]:
 def growth(y: Floats, rate: float, horizon: float, window: float) -> Floats:
     """Return the root mean square error of the integral of samples, (axes,).
 
-    The bias is averaged over the time ``window`` in s before the time ``horizon`` in s.
+    `predicted_growth` predicts this error: after the bias was averaged over ``window`` seconds, the
+    samples minus this bias are integrated over ``horizon`` seconds. ``rate`` is in Hz.
     """
     theta = np.cumsum(np.pad(y - y.mean(axis=0), ((1, 0), (0, 0))), axis=0) / rate
     h, w = round(horizon * rate), round(window * rate)
@@ -231,17 +237,16 @@ def growth(y: Floats, rate: float, horizon: float, window: float) -> Floats:
 
 def show_halves(records: int, seed: int) -> Iterator[tuple[str, ...]]:
     """Yield how often the drift of a half lies in the interval that is predicted from the other."""
-    horizons = (10.0, 30.0, 100.0)
     for name, rows in shared_recordings().items():
-        rate, parts = parts_of(rows, 2)
-        inside = np.zeros((2, len(horizons)), int)
-        if len(parts[0]) < 3 * 200.0 * rate if parts else True:
+        rate, parts = parts_of(rows, 2, LEAST_HALF_S)
+        if not parts:
             continue
+        inside = np.zeros((2, len(HORIZONS_S)), int)
         for known, other in (parts, parts[::-1]):
             results = ar.analyze(known, rate=rate, motion_gate=False)
-            actual = np.array([growth(other, rate, h, 100.0) for h in horizons])
+            actual = np.array([growth(other, rate, h, GROWTH_WINDOW_S) for h in HORIZONS_S])
             for i, axis in enumerate(AXES):
-                for k, one in enumerate(growth_table(results[axis].fit, horizons)):
+                for k, one in enumerate(growth_table(results[axis].fit, HORIZONS_S)):
                     low, high = one.std.ci95 or (math.nan, math.nan)
                     inside[i // 3, k] += low <= actual[k, i] <= high
         for sensor, found in zip(('gyro', 'accel'), inside.tolist()):

@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import json
-import os
 import time
 import traceback
 from collections.abc import Callable, Sequence
@@ -27,6 +26,7 @@ from ..core.imu import SI_UNITS, ImuIdentity, sensor_of
 from ..core.stream.drive_recorder import LEAST_DRIVES, Drives
 from ..core.stream.drives import DriveErrors
 from ..core.stream.transport import faults_of
+from ..readers.files import expanded
 from ..results.analysis import analyze_sums
 from ..results.checkpoint import Total
 from ..results.datasheets import load_sensor
@@ -94,7 +94,7 @@ class ImuEstimate(NodePart):
         self._worker, self._listeners = worker, listeners
         sensor, path = settings.value.sensor, settings.value.baseline
         self._datasheet = load_sensor(sensor) if sensor else None
-        path = path and os.path.expanduser(path)
+        path = path and str(expanded(path))
         self._baselines = {path: load(path)} if path else {}
         self._snapshot: Snapshot | None = None
         self._results: Results | None = None

@@ -13,7 +13,7 @@ import numpy as np
 
 from ..core.errors import AllanError
 from ..core.fields import Fields
-from ..readers.files import PathLock, read_json, to_json, write_atomic
+from ..readers.files import PathLock, expanded, read_json, to_json, write_atomic
 from .push_plan import Numbers
 
 SCHEMA = 'allan_ros/former_values/1'
@@ -37,7 +37,7 @@ def former_values_file(node: str) -> Path:
     The name of the file contains the ROS domain. The file is in the folder ``allan_ros`` of
     ``ROS_HOME``, which is ``~/.ros`` by default.
     """
-    home = Path(os.path.expanduser(os.environ.get('ROS_HOME') or '~/.ros'))
+    home = expanded(os.environ.get('ROS_HOME') or '~/.ros')
     domain = os.environ.get('ROS_DOMAIN_ID') or '0'
     return home / 'allan_ros' / f'former_values_{domain}_{node.strip("/").replace("/", ".")}.json'
 

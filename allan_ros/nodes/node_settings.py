@@ -7,7 +7,6 @@ The settings of the data selection (group ``segmenter``) are in `core.settings`.
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -17,6 +16,7 @@ from ..core.errors import AllanError
 from ..core.fit.result import METHODS
 from ..core.imu import SAMPLE_UNITS
 from ..core.settings import CheckedSettings, SegmenterSettings, fixed_parameter, parameter
+from ..readers.files import expanded
 
 SETTLED_RATIO = 1.5
 """Largest ratio of the upper to the lower end of the 95 % interval of a number that is given to a
@@ -117,7 +117,7 @@ class InputSettings(CheckedSettings):
         labels = self.labels if any(self.labels) else topic_labels
         hardware_ids = self.hardware_ids * (count if len(self.hardware_ids) == 1 else 1)
         accel_topics = self.accel_topics if any(self.accel_topics) else [''] * count
-        path = Path(os.path.expanduser(checkpoint))
+        path = expanded(checkpoint)
         files = [path if count == 1 else path / f'{label}.json' for label in labels]
         checkpoints = [str(file) if checkpoint else '' for file in files]
         return list(map(WatchedImu, self.topics, labels, hardware_ids, checkpoints, accel_topics))

@@ -290,6 +290,18 @@ def parse_yaml(text: str) -> Any:
         loader.dispose()
 
 
+def expanded(path: str | Path) -> Path:
+    """Return a path in which the home folder replaces ``~``.
+
+    Unlike `Path.expanduser`, this function raises no error if the user or the home folder does not
+    exist: the path is then returned unchanged.
+
+    >>> expanded('~nobody-has-this-name/x.yaml').name
+    'x.yaml'
+    """
+    return Path(os.path.expanduser(path))
+
+
 def read_yaml(path: Path) -> Any:
     """Read a YAML or JSON file of at most 100 kB.
 
@@ -331,8 +343,7 @@ def config_file(kind: str, name: str, called: str) -> Path:
     """
     path = Path(name)
     if path.suffix.lower() in ('.yaml', '.yml'):
-        # unlike Path.expanduser, this function does not fail if the user does not exist
-        return Path(os.path.expanduser(path))
+        return expanded(path)
     if path.name == name:
         for folder in config_folders(kind):
             file = folder / f'{name.lower()}.yaml'
@@ -355,7 +366,7 @@ def config_folders(kind: str) -> list[Path]:
     The folder of the user (XDG Base Directory, 0.8) comes first. The folders ``config/<kind>`` of
     the source code and of the installed package follow.
     """
-    home = os.environ.get('XDG_CONFIG_HOME') or os.path.expanduser('~/.config')
+    home = os.environ.get('XDG_CONFIG_HOME') or expanded('~/.config')
     this_file = Path(__file__).resolve()
     folders = [Path(home) / 'allan_ros' / kind, this_file.parents[2] / 'config' / kind]
     folders += [parent / 'share' / 'allan_ros' / 'config' / kind for parent in this_file.parents]

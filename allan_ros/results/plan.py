@@ -21,7 +21,6 @@ The keys ``gyro`` and ``accel`` apply to all axes of the sensor; the key of one 
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -44,7 +43,7 @@ from ..core.imu import (
     sensor_of,
     to_si,
 )
-from ..readers.files import read_yaml
+from ..readers.files import expanded, read_yaml
 from .datasheets import BELOW, Datasheet
 
 if TYPE_CHECKING:
@@ -286,7 +285,7 @@ def load_plan(path: str | Path) -> Plan:
     Raises AllanError if the file cannot be read or an entry is invalid; the message states the
     position of the entry.
     """
-    return plan_from_document(read_yaml(Path(os.path.expanduser(path))), str(path))
+    return plan_from_document(read_yaml(expanded(path)), str(path))
 
 
 def plan_from_document(document: object, where: str) -> Plan:

@@ -13,14 +13,14 @@ standard errors.
 
 from __future__ import annotations
 
-import cmath
 import math
 
 import numpy as np
 
 from ..allan.at_rest import any_step
 from ..allan.sums import AllanSums
-from ..noise import RANDOM_TERMS, REPLACEMENTS, Process
+from ..noise import RANDOM_TERMS, Process
+from ..noise.processes.rounded_angle import rounding_of_counter
 from .likelihood import AxisData
 from .result import N, Q
 from .selection import TOLERANCE
@@ -56,13 +56,9 @@ def rounding_errors(sums: AllanSums, axis: int, data: AxisData) -> Process | Non
         return None
     means = np.concatenate([m.values[:, axis] for r in sums.recordings for m in r.means])
     effect_of_rate = complex(np.mean(np.exp(2j * math.pi / step * means)))
-    frequency = abs(cmath.phase(effect_of_rate)) / (2.0 * math.pi)
-    decay_by_drift = -math.log(max(abs(effect_of_rate), 1e-300))
-    variance_of_error = step**2 / 12.0 / data.scale
     fit, rounding = data.solve(RANDOM_TERMS, tolerance=TOLERANCE), None
     for _ in range(ROUNDS):
-        decay = math.pi**2 / 6.0 * max(float(fit.p[N]), 1e-6) / variance_of_error + decay_by_drift
-        rounding = REPLACEMENTS[type(RANDOM_TERMS[Q])](frequency, 1.0 / decay)  # type: ignore[call-arg]
+        rounding = rounding_of_counter(step, float(fit.p[N]) * data.scale, effect_of_rate)
         fit = data.solve((rounding, *RANDOM_TERMS[Q + 1 :]), None, fit.p, tolerance=TOLERANCE)
-    is_carried = abs(fit.p[Q] / variance_of_error - 1.0) < LARGEST_DIFFERENCE
+    is_carried = abs(12.0 * fit.p[Q] * data.scale / step**2 - 1.0) < LARGEST_DIFFERENCE
     return rounding if is_carried else None

@@ -16,10 +16,11 @@ import numpy as np
 
 from ..allan.periods import BlockMeans
 from ..allan.sums import AllanSums
+from ..noise import Process
 from ..noise.processes.white import White
-from .period_levels import LEAST_SHARE, PeriodLevels
+from .period_levels import LEAST_SHARE, PeriodLevels, total_and_drift
 from .result import AxisFit
-from .statistics import Floats, decay_of_means
+from .statistics import Floats, decay_of_means, mean_alias
 
 MOST_MEANS = 256
 """Largest number of block means of a segment. More block means are averaged in pairs, which keeps
@@ -42,21 +43,14 @@ class _Predictor(NamedTuple):
     def of(cls, fit: AxisFit, tau0: float, step: int, number: int) -> _Predictor:
         """Return the prediction of ``number`` differences of means over ``step`` samples."""
         lag = np.arange(number + 1)
-        total, drift = np.zeros((2, number + 1))
-        for part in fit.model.parts:
-            process = part.process.in_unit(tau0)
-            if process.is_regressor:
-                continue
-            variance = part.process.variance_of(part.value, tau0)
-            aliases = process.alias_variance(step)
-            gamma = variance * (
-                0.5 * step * aliases * White().gamma(step, lag)
-                if aliases
-                else process.gamma(step, lag)
-            )
-            total += gamma
-            if part.process.is_drift and not process.is_white:
-                drift += gamma
+
+        def autocovariance(process: Process) -> Floats:
+            aliases = mean_alias(process, step)
+            if aliases:
+                return aliases * White().gamma(step, lag)
+            return process.gamma(step, lag)
+
+        total, drift = total_and_drift(fit, tau0, autocovariance, len(lag))
         root: Floats = np.asarray(np.linalg.cholesky(_of_differences(total)), np.float64)
         whitened: Floats = np.linalg.solve(root, np.linalg.solve(root, _of_differences(drift)).T)
         return cls(root, np.diag(whitened))

@@ -10,7 +10,7 @@ model.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from ..allan.curve import Spectra, pooled_spectra
 from ..allan.sums import AllanSums
+from ..noise import Process
 from .result import AxisFit
 from .statistics import Floats, Statistics
 
@@ -332,12 +333,41 @@ def white_noise_levels(spectra: PeriodSpectra) -> PeriodLevels:
     return spectra.levels(whole.power, no_sinusoid)
 
 
+def total_and_drift(
+    fit: AxisFit, tau0: float, expected: Callable[[Process], Floats], size: int
+) -> tuple[Floats, Floats]:
+    """Return an expected statistic of the model of an axis, and the part that is due to drift.
+
+    Drift is all noise whose integral grows with time, except white noise.
+
+    Parameters
+    ----------
+    fit : AxisFit
+        Fit of the axis.
+    tau0 : float
+        Sample period in s.
+    expected : callable
+        Function that returns the statistic, (size,), of a process with the coefficient 1 and its
+        shape in samples.
+    size : int
+        Length of both results.
+    """
+    total, drift = np.zeros((2, size))
+    for part in fit.model.parts:
+        process = part.process.in_unit(tau0)
+        if process.is_regressor:
+            continue
+        of_part = part.process.variance_of(part.value, tau0) * expected(process)
+        total += of_part
+        if part.process.is_drift and not process.is_white:
+            drift += of_part
+    return total, drift
+
+
 def drift_levels(
     spectra: PeriodSpectra, known: Sequence[Statistics], fits: Sequence[AxisFit], tau0: float
 ) -> PeriodLevels:
-    """Return the level of the drift in each period.
-
-    Drift is all noise whose integral grows with time, except white noise.
+    """Return the level of the drift (`total_and_drift`) in each period.
 
     Parameters
     ----------
@@ -351,15 +381,7 @@ def drift_levels(
     """
     expected, share = np.ones_like(spectra.whole.power), np.zeros_like(spectra.whole.power)
     for i, (one, fit) in enumerate(zip(known, fits)):
-        total, drift = np.zeros((2, len(one.f)))
-        for part in fit.model.parts:
-            process = part.process.in_unit(tau0)
-            if process.is_regressor:
-                continue
-            power = part.process.variance_of(part.value, tau0) * one.power_of(process)
-            total += power
-            if part.process.is_drift and not process.is_white:
-                drift += power
+        total, drift = total_and_drift(fit, tau0, one.power_of, len(one.f))
         used_bins = np.flatnonzero((total > 0.0) & (one.settling[:, i] < LARGEST_SETTLING))
         expected[used_bins, i] = total[used_bins]
         share[used_bins, i] = drift[used_bins] / total[used_bins]

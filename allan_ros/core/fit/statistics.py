@@ -297,16 +297,23 @@ class Statistics:
             return Column(q.power**2, [0.0 * low for low in q.low])
         if process == White():
             return self.white[axis]
-        aliases = process.alias_variance(self.step)
+        aliases = mean_alias(process, self.step)
         if aliases:
-            # The frequency of an alias in the block means depends on more digits of the frequency
-            # of the sinusoid than are known. Instead of the alias, the expectation contains white
-            # noise with the mean power of all possible aliases.
-            mean = 0.5 * self.step * aliases
-            low = [mean * each for each in self.white[axis].low]
+            low = [aliases * each for each in self.white[axis].low]
         else:
             low = _low_covariances(process, self.step, self.sizes)
         return Column(self.power_of(process), low)
+
+
+def mean_alias(process: Process, step: int) -> float:
+    """Return the variance of a white noise that replaces the alias of a fast sinusoid.
+
+    The frequency of an alias in the means of ``step`` samples depends on more digits of the
+    frequency of the sinusoid than are known. Instead of the alias, the expectation contains white
+    noise with the mean power of all possible aliases. The result is the variance of this white
+    noise per sample, for a ``process`` with the coefficient 1; it is 0 for a process without alias.
+    """
+    return 0.5 * step * process.alias_variance(step)
 
 
 def lower_edge(octaves: int) -> float:

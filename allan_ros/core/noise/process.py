@@ -196,7 +196,8 @@ class Process:
     def slowest_time(self) -> float:
         """Correlation time of a process, or half of the period of a sinusoid.
 
-        The result is infinite for a process without a shape, and 0 for a resonance.
+        The result is infinite for a process without a shape. It is 0 for a resonance, and for the
+        rounding errors of a counter.
         """
         return math.inf
 

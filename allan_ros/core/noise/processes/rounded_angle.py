@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import cmath
 import math
 from dataclasses import dataclass
 
@@ -13,8 +14,11 @@ from numpy.typing import ArrayLike
 from ..process import CORRELATION_TIME, FREQUENCY, Floats, Process
 from .quantization import Quantization
 
-SMALLEST_EXPONENT = 39.0
-"""Smallest x for which exp(-x) is neglected compared with 1."""
+NEGLIGIBLE_EXPONENT = 39.0
+"""Exponent x from which exp(-x), at most 1e-17, is negligible compared with 1."""
+
+LEAST_DECAY = 1e-4
+"""Smallest decay of the correlation per sample, which limits the number of terms of the series."""
 
 
 @dataclass(frozen=True)
@@ -56,22 +60,42 @@ class RoundedAngle(Process):
         if not lags.size:
             return total
         exponents = lags / self.correlation_time
-        most = math.sqrt(SMALLEST_EXPONENT / float(exponents.min()))
-        found = np.zeros(lags.shape)
-        for n in range(1, int(most) + 2):
-            rest = n * n * exponents < SMALLEST_EXPONENT
-            wave = np.cos(2.0 * math.pi * n * self.frequency * lags[rest])
-            found[rest] += np.exp(-n * n * exponents[rest]) * wave / n**2
-        total[lag > 0.0] = 6.0 / math.pi**2 * found
+        terms = 1 + int(math.sqrt(NEGLIGIBLE_EXPONENT / float(exponents.min())))
+        series = np.zeros(lags.shape)
+        for n in range(1, terms + 1):
+            is_left = n * n * exponents < NEGLIGIBLE_EXPONENT
+            wave = np.cos(2.0 * math.pi * n * self.frequency * lags[is_left])
+            series[is_left] += np.exp(-n * n * exponents[is_left]) * wave / n**2
+        total[lag > 0.0] = 6.0 / math.pi**2 * series
         return total
 
     @property
     def is_drift(self) -> bool:
-        return False
+        return False  # the rounding error is bounded
 
     @property
     def slowest_time(self) -> float:
-        return 0.0  # the integral is bounded
+        return 0.0
 
     def facts(self, value: float) -> dict[str, float]:
         return {'step': value * math.sqrt(12.0)}
+
+
+def rounding_of_counter(step: float, white: float, effect_of_rate: complex) -> RoundedAngle:
+    """Return the rounding errors of a counter; the shape is in samples.
+
+    Parameters
+    ----------
+    step : float
+        Step of the counter, in the unit of the samples.
+    white : float
+        Variance of the white noise of a sample.
+    effect_of_rate : complex
+        Mean of exp(2 pi i y/step) over the mean rates y of many samples. Its phase is 2 pi times
+        the mean number of steps per sample, without the whole steps. Its magnitude is below 1 if
+        the rate drifts, and the drift reduces the correlation of successive errors by this factor.
+    """
+    frequency = abs(cmath.phase(effect_of_rate)) / (2.0 * math.pi)
+    decay_by_noise = 2.0 * math.pi**2 * white / step**2
+    decay_by_drift = -math.log(max(abs(effect_of_rate), 1e-300))
+    return RoundedAngle(frequency, 1.0 / max(decay_by_noise + decay_by_drift, LEAST_DECAY))
