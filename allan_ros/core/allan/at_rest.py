@@ -269,13 +269,13 @@ def rounding_step(sums: AllanSums, axis: int, white: float) -> float | None:
     counter that carries its remainder to the next sample has less white noise: its rounding error
     is quantization noise (Q).
     """
-    step = any_step(sums, axis, math.sqrt(max(white, 0.0)))
+    step = step_of_sums(sums, axis, math.sqrt(max(white, 0.0)))
     if step is None or not ROUNDING_SHARE < step * step / 12.0 / white < LARGEST_SHARE:
         return None
     return step
 
 
-def any_step(sums: AllanSums, axis: int, deviation: float) -> float | None:
+def step_of_sums(sums: AllanSums, axis: int, deviation: float) -> float | None:
     """Return the step of which the sums of samples of an axis are multiples, or None.
 
     Only the sums up to the end of each block mean of the longest segment are considered.

@@ -17,7 +17,7 @@ import math
 
 import numpy as np
 
-from ..allan.at_rest import any_step
+from ..allan.at_rest import step_of_sums
 from ..allan.sums import AllanSums
 from ..noise import RANDOM_TERMS, Process
 from ..noise.processes.rounded_angle import rounding_of_counter
@@ -45,13 +45,11 @@ def rounding_errors(sums: AllanSums, axis: int, data: AxisData) -> Process | Non
     The result is None if no step is found, if the step is too small (`LEAST_RATIO`), or if the
     fitted variance of the errors is not near step^2/12 (`LARGEST_DIFFERENCE`).
 
-    ``data`` are the statistics of the axis. The shape of the result is in samples.
-
-    The mean of exp(2 pi i y/step) over the block means y is the effect of the rate, including its
-    drift, on the correlation of successive errors. The white noise multiplies this correlation by
-    exp(-2 pi^2 w/step^2), where w is the variance of the white noise of a sample.
+    ``data`` are the statistics of the axis. The shape of the result is in samples. It depends on
+    the step, on the white noise, and on the rate, which the block means show
+    (`rounding_of_counter`).
     """
-    step = any_step(sums, axis, math.sqrt(data.scale))
+    step = step_of_sums(sums, axis, math.sqrt(data.scale))
     if step is None or step**2 < LEAST_RATIO * data.scale:
         return None
     means = np.concatenate([m.values[:, axis] for r in sums.recordings for m in r.means])

@@ -49,14 +49,14 @@ relative to the power two octaves lower, is at least this number. The first numb
 all frequencies, the second for a fit without the highest octaves of the data. Without this
 condition, several processes may imitate the filter, and the fit takes up to four times as long."""
 
-HIGHEST = 0.375
+FILTERED_FROM = 0.375
 """Lowest frequency, in cycles per sample, of the range in which the power is compared with
 `EXPLAINED`. In this range, a low-pass filter removes most power."""
 
 EXPLAINED = 0.92
-"""Least power above `HIGHEST`, relative to a fit with a fast Gauss-Markov process, for which this
-process may explain a spectrum that bends. Measured: 0.94 or more with such a process, at most 0.88
-with a low-pass filter."""
+"""Least power above `FILTERED_FROM`, relative to a fit with a fast Gauss-Markov process, for which
+the process may explain a spectrum that bends. Measured: 0.94 or more with such a process, at most
+0.88 with a low-pass filter."""
 
 DOMINATED = 2.0
 """Least power of a bin in which a sinusoid dominates, relative to a fit without sinusoids."""
@@ -285,9 +285,9 @@ def _bends_like_noise(rules: Selection) -> bool:
 
     The process is fitted together with the random terms, which include white noise. Bins in which a
     sinusoid dominates are not used. The result is True if the white noise is resolved, and if the
-    ratio of the power above `HIGHEST` to the power of the fit exceeds `EXPLAINED`; with a low-pass
-    filter, the ratio is smaller. It is the median over the bins, on which a few sinusoids have no
-    effect.
+    ratio of the power above `FILTERED_FROM` to the power of the fit exceeds `EXPLAINED`; with a
+    low-pass filter, the ratio is smaller. It is the median over the bins, on which a few sinusoids
+    have no effect.
     """
     data = rules.data
     fit = _with_fast_process(rules)
@@ -296,7 +296,7 @@ def _bends_like_noise(rules: Selection) -> bool:
         dof = np.where(is_dominated, EXCLUDED, 1.0) * data.dof
         fit = _with_fast_process(replace(rules, data=replace(data, dof=dof)))
     is_resolved = float(fit.p[N]) > WHITE_NOISE * math.sqrt(fit.covariance()[N, N])
-    is_high = data.statistics.f > HIGHEST
+    is_high = data.statistics.f > FILTERED_FROM
     relative_power = float(np.median((data.power / fit.spectrum())[is_high]))
     return is_resolved and relative_power > EXPLAINED
 

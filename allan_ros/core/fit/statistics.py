@@ -73,7 +73,7 @@ frequency are used."""
 SETTLED = 5.0
 """Time, in time constants, after which a settling has ended: 0.7 % of its size is left."""
 
-LARGEST_SHARE = 0.99
+LARGEST_SETTLING_SHARE = 0.99
 """Largest share of the power of a bin that is regarded as the power of a settling. The larger this
 share is, the less weight the bin has in the fit."""
 
@@ -365,7 +365,7 @@ def statistics(sums: AllanSums, settling: Settling | None = None) -> Statistics:
         number = np.maximum(spectra.blocks[spectra.octave[is_used]], 1)[:, None]
         mean_settling_power = settling_power(sums, settling, octaves) / number
         settling_share = np.clip(
-            mean_settling_power / np.maximum(power, 1e-300), 0.0, LARGEST_SHARE
+            mean_settling_power / np.maximum(power, 1e-300), 0.0, LARGEST_SETTLING_SHARE
         )
     step, groups = _groups(sums, lower_edge(octaves), settling)
     return Statistics(

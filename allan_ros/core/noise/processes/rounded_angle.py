@@ -51,10 +51,12 @@ class RoundedAngle(Process):
 
     def gamma(self, M: ArrayLike, j: ArrayLike) -> Floats:
         M, j = np.asarray(M, float), np.asarray(j, float)
-        before, at, after = (self._of_error(np.abs(j + shift) * M) for shift in (-1.0, 0.0, 1.0))
+        before, at, after = (
+            self._error_autocovariance(np.abs(j + shift) * M) for shift in (-1.0, 0.0, 1.0)
+        )
         return np.asarray((2.0 * at - before - after) / M**2)
 
-    def _of_error(self, lag: Floats) -> Floats:
+    def _error_autocovariance(self, lag: Floats) -> Floats:
         """Return the autocovariance of the rounding error at lags in samples, for unit variance."""
         total, lags = np.ones(lag.shape), lag[lag > 0.0]
         if not lags.size:
