@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from allan_ros.cli.main import VERBS, build_parser
+from allan_ros.export import TARGETS
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [ROOT / 'README.md', *sorted((ROOT / 'docs').rglob('*.md'))]
@@ -119,3 +120,7 @@ def test_quoted_output_is_current(pages: list[str], monkeypatch: pytest.MonkeyPa
     )
     numbers = ([float(n) for n in NUMBER.findall(each)] for each in (new, text))
     assert list(next(numbers)) == pytest.approx(next(numbers), rel=0.05), hint
+
+
+def test_the_readme_counts_the_export_targets() -> None:
+    assert f'[{len(TARGETS)} export targets]' in (ROOT / 'README.md').read_text(encoding='utf-8')

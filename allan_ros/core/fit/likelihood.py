@@ -232,6 +232,16 @@ class AxisData:
             moment += 0.5 * flat @ vgv.ravel()
         return value, information, moment
 
+    def _is_positive(self, columns: Columns, p: Floats) -> bool:
+        """Return whether the expected power and covariances at the coefficients are positive."""
+        from scipy.linalg import lapack  # slow to import
+
+        if np.any(columns.power @ p <= 0.0):
+            return False
+        if np.all(p >= 0.0):
+            return True
+        return not any(lapack.dpotrf(np.tensordot(p, d, 1), lower=1)[1] for d in columns.low)
+
     def start(self, columns: Columns) -> Floats:
         """Return coefficients to start from, (components,), in units of `scale`.
 
@@ -282,6 +292,9 @@ class AxisData:
         for i, value in held.items():
             p[i] = value
         state = self.moments(columns, p)
+        if state is None and not held:  # coefficients below 0 may cancel all others
+            p = self.start(columns)
+            state = self.moments(columns, p)
         if state is None:
             return Fit(tuple(components), p, math.inf, columns, signed)
         is_held = flags(len(p), held)
@@ -297,7 +310,7 @@ class AxisData:
             )
             d = proposed - p
             expected = float(d @ (2.0 * (moment - information @ p) - information @ d))
-            if expected < tolerance and np.all(columns.power @ proposed > 0.0):
+            if expected < tolerance and self._is_positive(columns, proposed):
                 p, state = proposed, (value - expected, information, moment)
                 break
             size, trial = 1.0, self.moments(columns, proposed)

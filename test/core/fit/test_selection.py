@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter1d
 from scipy.signal import butter, lfilter
 from support.sums import sums_of
 
@@ -15,6 +16,7 @@ from allan_ros.core.fit.likelihood import AxisData
 from allan_ros.core.fit.methods import fit_noise
 from allan_ros.core.fit.selection import Selection
 from allan_ros.core.fit.statistics import statistics
+from allan_ros.core.imu import AXES
 from allan_ros.core.noise import RANDOM_TERMS, Model
 from allan_ros.core.noise.processes.sinusoid import Sinusoid
 from allan_ros.core.simulator import simulate_axis
@@ -297,3 +299,18 @@ def test_units_do_not_matter(scale):
         a, b = one.noise[term], other.noise[term]
         assert a.status == b.status
         assert (b.value or 0.0) == pytest.approx(scale * (a.value or 0.0), rel=1e-3)
+
+
+@pytest.mark.parametrize('seed', [19, 22, 27])
+def test_a_moving_sensor_gives_a_fit(seed: int) -> None:
+    """Coefficients below 0, which describe a filter, must not make any variance negative."""
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(3000, 16000))
+    rows = []
+    for _ in range(6):
+        hits = rng.normal(size=n) * (rng.random(n) < rng.choice([0.002, 0.02]))
+        motion = gaussian_filter1d(hits, float(rng.choice([5, 20, 60]))) * rng.choice([3, 30, 300])
+        motion *= np.cumsum(rng.normal(size=n)) ** rng.integers(0, 2)
+        rows.append(motion + rng.normal(size=n) * 0.003)
+    for fit in fit_noise(sums_of(np.stack(rows, axis=1), axes=AXES)).axes.values():
+        assert all(math.isfinite(part.value) for part in fit.model.parts)
