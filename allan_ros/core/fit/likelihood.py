@@ -292,9 +292,6 @@ class AxisData:
         for i, value in held.items():
             p[i] = value
         state = self.moments(columns, p)
-        if state is None and not held:  # coefficients below 0 may cancel all others
-            p = self.start(columns)
-            state = self.moments(columns, p)
         if state is None:
             return Fit(tuple(components), p, math.inf, columns, signed)
         is_held = flags(len(p), held)
