@@ -76,7 +76,7 @@ def results_of(
     observer: Observer = Silent(),
     segmenter: SegmenterSettings = SegmenterSettings(),
 ) -> PlainResults:
-    """Return results: from a JSON file, from the folder of an analysis, or of a recording.
+    """Return results that are read from files of an analysis, or computed from a recording.
 
     Parameters
     ----------

@@ -27,8 +27,8 @@ from .process import Floats, Process
 from .processes.gauss_markov import GaussMarkov
 
 MOST_CACHED = 1 << 22
-"""Largest number of lags for which the autocovariance gamma is kept in memory for the next axis of
-a simulation (34 MB for each process)."""
+"""Largest number of lags for which the values of gamma are kept in memory for the next axis of a
+simulation. This number of values takes 34 MB. The values of up to four processes are kept."""
 
 LONGEST_CIRCLE = 16
 """Largest size of the circulant covariance matrix of a simulation, relative to its smallest
@@ -36,10 +36,10 @@ possible size. If a matrix of the largest size has negative eigenvalues, they ar
 
 
 def avar(process: Process, m: ArrayLike) -> Floats:
-    """Return the Allan variance at averaging factors m, for the coefficient 1.
+    """Return the Allan variance of a process with the coefficient 1 at averaging factors m.
 
     The Allan variance is gamma(m, 0) - gamma(m, 1). The result is a float64 array of the shape of
-    ``m``.
+    ``m``, in the squared unit of the samples.
 
     Examples
     --------
@@ -51,28 +51,32 @@ def avar(process: Process, m: ArrayLike) -> Floats:
 
 
 def growth_variance(process: Process, horizon: ArrayLike, window: ArrayLike) -> Floats:
-    """Return the variance of the sum of ``horizon`` samples after the bias was subtracted.
+    """Return the variance of the sum of ``horizon`` samples, from which the bias was subtracted.
 
-    The bias is the mean of the ``window`` samples directly before the sum. Both numbers of samples
-    may be arrays, which broadcast. A sum over M samples has the variance M^2 gamma(M, 0). The
-    covariance of two neighboring sums follows from the variance of each sum and of their total.
+    The bias is the mean of the ``window`` samples directly before the sum. ``horizon`` and
+    ``window`` may be arrays; the result has the shape to which they broadcast. The coefficient of
+    the process is 1.
+
+    A sum over M samples has the variance M^2 gamma(M, 0). The covariance of two neighboring sums
+    follows from the variances of each sum and of their total.
     """
     n, b = np.asarray(horizon, float), np.asarray(window, float)
-    gamma_horizon, gamma_window, gamma_both = (process.gamma(M, 0) for M in (n, b, n + b))
-    twice_cross = (n + b) ** 2 * gamma_both - n**2 * gamma_horizon - b**2 * gamma_window
-    return np.asarray(n**2 * (gamma_horizon + gamma_window) - n / b * twice_cross)
+    gamma_horizon, gamma_window, gamma_total = (process.gamma(M, 0) for M in (n, b, n + b))
+    twice_covariance = (n + b) ** 2 * gamma_total - n**2 * gamma_horizon - b**2 * gamma_window
+    return np.asarray(n**2 * (gamma_horizon + gamma_window) - n / b * twice_covariance)
 
 
 def simulate(parts: Iterable[tuple[float, Process]], n: int, rng: np.random.Generator) -> Floats:
     """Return n samples of a sum of processes, (n,), up to a constant.
 
-    ``parts`` are pairs of a coefficient and a process, with the sample period as the unit of time.
+    ``parts`` are pairs of a coefficient and a process. The unit of time of both is the sample
+    period.
 
     The samples are drawn by circulant embedding of gamma (Dietrich & Newsam, SIAM J. Sci. Comput.
     18, 1997): gamma, continued to an even periodic sequence, is the first row of a circulant
     covariance matrix, whose eigenvalues are the Fourier transform of this row. The constant in
-    gamma and an infinite spectrum at frequency 0 change only the mean. Flicker noise and random
-    walk are therefore exact, too. Ramps and sinusoids are computed by `Process.sample`.
+    gamma and an infinite spectrum at frequency 0 change only the mean, so that flicker noise and
+    random walk are exact, too. Ramps and sinusoids are computed by `Process.sample`.
     """
     from scipy import fft  # slow to import, and rarely needed
 
@@ -140,17 +144,17 @@ def bank(
     Parameters
     ----------
     process : Process
-        The process to be approximated, with the coefficient 1.
+        The process to approximate, with the coefficient 1 and its shape in samples.
     times : sequence of float
         Correlation times of the Gauss-Markov processes in samples.
     m : (factors,) array
-        Averaging factors at which the relative differences of the Allan variances are minimized
-        (nonnegative least squares).
+        Averaging factors at which the relative differences between the Allan variances are
+        minimized by nonnegative least squares.
 
     Returns
     -------
     tuple of (float, GaussMarkov)
-        Variance and process; only pairs with a variance above 0.
+        Variance of each Gauss-Markov process, and the process; only variances above 0.
     """
     members = [GaussMarkov(float(time)) for time in times]
     target = avar(process, m)

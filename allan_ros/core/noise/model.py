@@ -18,13 +18,13 @@ from .process import Floats, Process
 from .registry import LETTERS, PROCESSES
 
 CONTINUOUS = 1e-6
-"""Sample period with which continuous time is approximated, relative to the shortest averaging
-time."""
+"""Sample period with which continuous time is approximated, as a fraction of the shortest given
+time, or of 1 s if all given times are longer."""
 
 BY_LETTER: Mapping[str, Process] = {
     one.letter: one() for one in PROCESSES.values() if one.letter and not one.parameters
 }
-"""Letter -> process, for the five terms Q, N, B, K and R."""
+"""Letter of each of the five terms Q, N, B, K and R -> process of this term."""
 
 
 Interval = tuple[float, float]
@@ -38,12 +38,12 @@ class Part(NamedTuple):
     process : Process
         Process with its shape in s and Hz.
     value : float
-        Coefficient in SI.
+        Coefficient in SI, as in `Model.parts`.
     ci95 : (low, high) or None
         95 % interval of the coefficient; None if it is unknown. The intervals of the five terms are
         not in a model but in `AxisFit.noise`.
     shape_ci95 : tuple of (low, high)
-        95 % interval of each number of the shape; empty if the intervals are unknown.
+        95 % interval of each shape parameter; empty if the intervals are unknown.
     """
 
     process: Process
@@ -59,11 +59,12 @@ class Covariance:
     Attributes
     ----------
     names : tuple of str
-        Names of the coefficients: 'Q', 'N', 'B', 'K', then the other processes in the order of
-        `Model.parts` as name and number, such as 'gauss_markov 0'.
+        Names of the coefficients: 'Q', 'N', 'B' and 'K', then the other processes in the order of
+        `Model.parts` as name and number, such as 'gauss_markov 0'. The letter of a term also
+        stands for a process that replaces this term. R and a low-pass filter are not included.
     matrix : (names, names) array
         Covariance of the squared coefficients (N^2, sigma^2, amplitude^2 ...) in SI. It includes
-        the uncertainty of correlation times and frequencies.
+        the uncertainty of the correlation times and frequencies.
     """
 
     names: tuple[str, ...]
@@ -78,8 +79,10 @@ class Model:
     ----------
     parts : tuple of Part
         Processes with their coefficients in SI, the terms Q, N, B, K and R first. The coefficient
-        of another process is a standard deviation (sigma) or an amplitude in the unit of the
-        samples.
+        of a Gauss-Markov process or a resonance is its standard deviation (sigma), and the
+        coefficient of a sinusoid its amplitude. A process that replaces Q or K has the coefficient
+        of this term. The coefficient of a low-pass filter is q in the squared unit of the samples
+        times s^2, and may be negative.
     covariance : Covariance or None
         Covariance of the fitted coefficients; None if it is unknown.
 
@@ -109,8 +112,8 @@ class Model:
             if name not in [*LETTERS]:
                 raise AllanError(f'there is no term {name!r}: give {", ".join(LETTERS)}')
             if not math.isfinite(value) or (value < 0.0 and name != 'R'):
-                least = '' if name == 'R' else ' of 0 or above'
-                raise AllanError(f'{name} is {value}: give a finite number{least}')
+                allowed_range = '' if name == 'R' else ' of 0 or above'
+                raise AllanError(f'{name} is {value}: give a finite number{allowed_range}')
         parts = [Part(BY_LETTER[name], terms[name]) for name in LETTERS if terms.get(name)]
         parts += [Part(process, value) for value, process in processes if value]
         return cls(tuple(parts))
@@ -118,12 +121,14 @@ class Model:
     def value(self, letter: str) -> float:
         """Return the coefficient of one of the terms Q, N, B, K and R in SI.
 
-        The result is 0 if the model does not contain the term.
+        The result is 0 if the model does not contain the term, or another process replaces it.
         """
         return sum(part.value for part in self.parts if part.process == BY_LETTER[letter])
 
     def changed(self, **terms: float) -> Model:
-        """Return a model in which some terms (``N=1e-3``, in SI) have other coefficients.
+        """Return the model with other coefficients of some terms (``N=1e-3``), in SI.
+
+        Processes other than the five terms and the covariance are unchanged.
 
         Raises
         ------
@@ -141,13 +146,14 @@ class Model:
 
     @property
     def shaped(self) -> Model:
-        """Model of the processes with a shape, without the five terms and the low-pass filter."""
+        """Model of the processes with shape parameters, which the five terms do not have."""
         return self.where(lambda process: bool(process.parameters))
 
     def at_end(self, end: int, scatter: float = 0.0) -> Model:
         """Return the model with each coefficient at an end of its 95 % interval.
 
-        Coefficients without an interval, sinusoids and shapes are unchanged.
+        A lower end below 0 becomes 0. Coefficients without an interval, sinusoids and shapes are
+        unchanged.
 
         Parameters
         ----------
@@ -155,7 +161,8 @@ class Model:
             0 for the lower ends of the intervals, 1 for the upper ends.
         scatter : float
             Half-width of the 95 % interval for the logarithm of the drift amplitude in another hour
-            (`AxisFit.drift_scatter`). This scatter widens the intervals of drift processes.
+            (`AxisFit.drift_scatter`). It widens the intervals of processes that are drift
+            (`Process.is_drift`).
         """
 
         def value(part: Part) -> float:
@@ -170,15 +177,15 @@ class Model:
         return replace(self, parts=tuple(p._replace(value=value(p)) for p in self.parts))
 
     def where(self, chosen: Callable[[Process], bool]) -> Model:
-        """Return the model of the processes for which ``chosen`` is true."""
+        """Return the model of the processes for which ``chosen`` is true, without covariance."""
         return Model(tuple(part for part in self.parts if chosen(part.process)))
 
     @property
     def drift(self) -> Model:
-        """The model of all noise whose integral grows with time.
+        """The model of all noise whose integral grows with time, and of slow sinusoids.
 
-        Processes whose integral is bounded, such as quantization and sinusoids above 0.1 Hz, are
-        excluded. A resonance is replaced by white noise with the same density at 0 Hz.
+        Sinusoids above 0.1 Hz and other processes whose integral is bounded, such as quantization
+        noise, are excluded. A resonance is replaced by white noise with the same density at 0 Hz.
         """
         drift = self.where(lambda process: process.is_drift)
         added = sum(part.value**2 * part.process.density_at_zero for part in self.parts)
@@ -186,7 +193,7 @@ class Model:
 
     @property
     def has_drift(self) -> bool:
-        """Whether the integral of a process other than white noise grows with time."""
+        """Whether the model has drift (`Process.is_drift`) other than white noise."""
         return any(p.process.is_drift and not p.process.is_white for p in self.parts)
 
     def avar(self, tau: ArrayLike, tau0: float = 0.0) -> Floats:
@@ -215,6 +222,8 @@ class Model:
 
     def contributions(self, tau: ArrayLike, tau0: float = 0.0) -> dict[str, Floats]:
         """Return the Allan variance of each process; the sum over all processes is `avar`.
+
+        Processes with equal titles are added.
 
         Parameters
         ----------

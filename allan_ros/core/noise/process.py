@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Base class of the noise processes, and the range of shapes in which a fit searches for processes.
+"""Base class of the noise processes, and the limits of a search for processes in a fit.
 
 A process is defined by its autocovariance `Process.gamma`. The module `derived` computes all
 statistics from this function.
@@ -20,39 +20,40 @@ from ..settings import MAX_FLOAT
 
 Floats = NDArray[np.float64]
 Gamma = Callable[[ArrayLike, ArrayLike], Floats]
-"""Function gamma(M, j), such as `Process.gamma`. Its arguments broadcast."""
+"""Type of a function gamma(M, j) such as `Process.gamma`, whose arguments broadcast."""
 
 GAIN_PROCESS = 11.0
-"""Least gain (decrease of -2 log L) for which one more process is added to a model. For a process
-with a frequency, the least gain is larger by 2 log(bins). The value is chosen for false alarms on
-1 % of the axes. Measured false alarms (`bench/bench_accuracy.py`): a Gauss-Markov process or a
-bounded random walk on 0.7 % of 2100 axes, a sinusoid or a resonance on none."""
+"""Least gain (decrease of -2 log L) for which one more process is added to a model. The least gain
+is larger for a process with a frequency or with two shape parameters (`Process.threshold`). The
+value is chosen for false alarms on 1 % of the axes. Measured false alarms
+(`bench/bench_accuracy.py`): a Gauss-Markov process or a bounded random walk on 0.7 % of 2100 axes,
+a sinusoid or a resonance on none."""
 
 GAIN_RESOLVED = 5.41
 """Least decrease of -2 log L from a coefficient of 0 to its estimate for which a term is resolved.
 The value is 2.326^2, for false alarms of 1 % (one-sided). Measured: 1.0 % for B and for K."""
 
 LEAST_PERIODS = 3.0
-"""Fewest periods of a sinusoid or resonance in the longest segment. A process with fewer periods
-cannot be told from a slow drift."""
+"""Fewest periods of a sinusoid or resonance in the longest segment. An oscillation with fewer
+periods cannot be told from a slow drift."""
 
 
 class Parameter(NamedTuple):
-    """One number of the shape of a process."""
+    """One shape parameter of a process, such as its correlation time."""
 
-    name: str  # name of the field of the process class
+    name: str  # name of the field in the class of the process
     unit: Literal['s', 'Hz']  # the time unit is the sample period in gamma, and 1 s in a `Model`
-    largest_step: float  # largest change of the logarithm of the number in one step of a search
-    derivative_step: float  # change of the logarithm of the number for a numerical derivative
+    largest_step: float  # largest change of the logarithm of the parameter in a step of a search
+    derivative_step: float  # change of the logarithm of the parameter for a numerical derivative
 
 
 CORRELATION_TIME = Parameter('correlation_time', 's', 0.7, 1e-3)
-"""Time in which the autocovariance decays to 1/e. A step of a search changes this time by at most a
-factor of two."""
+"""Time in which the autocovariance, or its envelope for a resonance, decays to 1/e. A step of a
+search changes this time by at most a factor of about two."""
 
 FREQUENCY = Parameter('frequency', 'Hz', 0.06, 1e-4)
-"""Frequency of an oscillation. A step of a search changes the frequency by at most 6 %: half a
-bin at the lower end of an octave of the spectra."""
+"""Frequency of an oscillation. A step of a search changes the frequency by at most about 6 %: half
+a bin at the lower end of an octave of the spectra."""
 
 
 class States(NamedTuple):
@@ -69,7 +70,7 @@ class States(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Search:
-    """Properties of the data of a fit, which limit the shapes of the processes in a search.
+    """Properties of the fitted data, which limit the shape parameters in a search for processes.
 
     The time unit is the sample period.
 
@@ -84,9 +85,9 @@ class Search:
     f : (bins,) array
         Frequencies of the bins of the spectra in cycles per sample.
     block : (bins,) array
-        Samples per spectral block of each bin.
+        Number of samples of a spectral block, for each bin.
     shortest : float
-        Shortest correlation time of a process without a frequency.
+        Shortest correlation time in the search for a process without a frequency.
     """
 
     longest: int
@@ -99,7 +100,9 @@ class Search:
     def narrowest(self, frequency: float) -> float:
         """Return the shortest correlation time of a resonance that looks like a sinusoid in a fit.
 
-        With this correlation time, the bandwidth of the resonance is a third of the width of a bin.
+        With this correlation time, the bandwidth of the resonance is a third of the width of the
+        nearest bin. Without spectra, the result is 64 samples. ``frequency`` is in cycles per
+        sample.
         """
         nearest = int(np.argmin(np.abs(self.f - frequency))) if len(self.f) else 0
         return float(self.block[nearest]) if len(self.f) else 64.0
@@ -107,33 +110,37 @@ class Search:
 
 @dataclass(frozen=True)
 class Process:
-    """A noise process with the coefficient 1, and with a shape if it has fields.
+    """A noise process with the coefficient 1.
 
     A subclass is a frozen dataclass in a module of `allan_ros.core.noise.processes`. The fields of
-    the subclass are the numbers of the shape, for example a correlation time. A subclass must
-    define `gamma`, and either `states` or `no_states`.
+    the subclass are the shape parameters, for example a correlation time. The values of these
+    parameters are the shape of the process. A subclass must define `gamma`, and either `states` or
+    `no_states`.
     """
 
     name: ClassVar[str]
     """Name in documents, unique."""
 
     label: ClassVar[str]
-    """Name in charts and tables; a template with the shape, such as 'GM {correlation_time} s'."""
+    """Name in charts and tables, with fields for shape parameters: 'GM {correlation_time} s'."""
 
     meaning: ClassVar[str]
-    """One sentence for the documentation."""
+    """Sentence that describes the process in the documentation."""
 
     letter: ClassVar[str] = ''
-    """Letter of the coefficient, if it is a coefficient of IEEE Std 952-1997; else ''."""
+    """Letter of the coefficient if IEEE Std 952-1997 defines this coefficient; else ''."""
 
     coefficient: ClassVar[str] = 'sigma'
     """Name of the coefficient of a process without a letter."""
 
     time_power: ClassVar[float] = 0.0
-    """The SI unit of the coefficient is the unit of the samples times s to this power."""
+    """The SI unit of the coefficient is the unit of the samples times s to this power.
+
+    The coefficient of a low-pass filter has the squared unit of the samples instead.
+    """
 
     parameters: ClassVar[tuple[Parameter, ...]] = ()
-    """Descriptions of the numbers of the shape, in the order of the fields."""
+    """The shape parameters, in the order of the fields."""
 
     finding: ClassVar[str] = ''
     """Id of the finding that reports the process; '' if none does."""
@@ -148,15 +155,15 @@ class Process:
     """Whether the process is not random: a ramp, or the effect of a low-pass filter."""
 
     is_line: ClassVar[bool] = False
-    """Whether all power is at one frequency."""
+    """Whether all power is at one frequency, as for a sinusoid."""
 
     low_band: ClassVar[Literal['dense', 'rank two', 'none']] = 'dense'
     """Form of the covariance of the block means in the search for the process: a dense matrix, a
-    matrix of rank two (cosine and sine), or none because all candidates are too fast to change the
-    block means."""
+    matrix of rank two (cosine and sine), or none if all candidates are too fast to change the block
+    means."""
 
     replaces: ClassVar[type[Process] | None] = None
-    """The term that this process replaces if the data show the shape of the process."""
+    """Class of the term that this process replaces if the data show the shape of the process."""
 
     def gamma(self, M: ArrayLike, j: ArrayLike) -> Floats:
         """Return the autocovariance of means over M samples at a lag of j means.
@@ -180,15 +187,18 @@ class Process:
 
     @property
     def is_drift(self) -> bool:
-        """Whether the integral of the process grows with time; the shape must be in s and Hz."""
+        """Whether the integral of the process grows with time, or the process is a slow sinusoid.
+
+        The shape must be in s and Hz, because sinusoids of up to `SLOW_SINUSOID_HZ` are slow.
+        """
         return True
 
     @property
     def density_at_zero(self) -> float:
         """Two-sided power spectral density at 0 Hz of a resonance with the coefficient 1.
 
-        The integral of a resonance grows like the integral of white noise of this density. The
-        density is in the unit of time of the shape. The result is 0 for all other processes.
+        The integral of a resonance grows like the integral of white noise with this density. The
+        density has the unit of the correlation time. The result is 0 for all other processes.
         """
         return 0.0
 
@@ -196,8 +206,8 @@ class Process:
     def slowest_time(self) -> float:
         """Correlation time of a process, or half of the period of a sinusoid.
 
-        The result is infinite for a process without a shape. It is 0 for a resonance, and for the
-        rounding errors of a counter.
+        The result is infinite for a process without shape parameters. It is 0 for a resonance, and
+        for the rounding errors of a counter.
         """
         return math.inf
 
@@ -207,22 +217,22 @@ class Process:
 
     @classmethod
     def grid(cls, search: Search) -> Iterator[Process]:
-        """Yield the candidates of a search; none if the shape is not searched for, but computed."""
+        """Yield the candidates of a search; none if a fit does not search for the process."""
         return iter(())
 
     @classmethod
     def threshold(cls, bins: int) -> float:
-        """Return the least gain in -2 log L for which the process is added to a model.
+        """Return the least decrease of -2 log L for which the process is added to a model.
 
-        A search over the frequencies of ``bins`` bins increases this gain by 2 log(bins). A process
-        whose shape has two numbers must be better by `GAIN_RESOLVED` than the simpler process with
-        one number that it contains as a limit.
+        For a process with a frequency, the result is larger by 2 log(bins), because the frequencies
+        of ``bins`` bins are tried. For a process with two shape parameters, the result is larger by
+        `GAIN_RESOLVED`, because a simpler process with one parameter is a limit of this process.
         """
         search_gain = 2.0 * math.log(bins) * (FREQUENCY in cls.parameters)
         return GAIN_PROCESS + search_gain + GAIN_RESOLVED * max(len(cls.parameters) - 1, 0)
 
     def bounds(self, parameter: Parameter, search: Search) -> tuple[float, float]:
-        """Return the lowest and the highest value of a number of the shape in a search.
+        """Return the lowest and the highest value of a shape parameter in a search.
 
         Correlation times are in samples, and frequencies in cycles per sample.
         """
@@ -232,7 +242,7 @@ class Process:
 
     @property
     def bends_spectrum(self) -> bool:
-        """Whether the spectrum at the highest frequencies looks like low-pass filtered noise."""
+        """Whether the spectrum looks like low-pass filtered noise at the highest frequencies."""
         return False
 
     def is_broad_near(self, highest: float) -> bool:
@@ -244,18 +254,22 @@ class Process:
         return False
 
     def limit(self, search: Search) -> Process:
-        """Return a simpler process if the shape is at a limit of its range, else this process."""
+        """Return a simpler process if the shape is at a limit of the search, else this process."""
         return self
 
     def alias_variance(self, step: int) -> float:
-        """Return the largest variance of means over ``step`` samples that is due to an alias.
+        """Return the largest variance that an alias adds to means over ``step`` samples.
 
-        The result is 0 for a process without aliases in these means.
+        The coefficient is 1, and the shape is in samples. The result is 0 for a process that is not
+        a sinusoid, and for a sinusoid of at most 1/step cycles per sample.
         """
         return 0.0
 
     def facts(self, value: float) -> dict[str, float]:
-        """Return the numbers of the finding about the process; ``value`` is its SI coefficient."""
+        """Return the numbers in the finding that reports the process, by name.
+
+        ``value`` is the coefficient in SI.
+        """
         return {self.coefficient: value, **self.numbers}
 
     def sample(self, n: int, rng: np.random.Generator) -> Floats | None:
@@ -266,27 +280,27 @@ class Process:
 
     @property
     def shape(self) -> tuple[float, ...]:
-        """The numbers of the shape."""
+        """Values of the shape parameters, in the order of `parameters`."""
         return tuple(getattr(self, parameter.name) for parameter in self.parameters)
 
     @property
     def numbers(self) -> dict[str, float]:
-        """The numbers of the shape by name."""
+        """Values of the shape parameters by name."""
         return {p.name: getattr(self, p.name) for p in self.parameters}
 
     def with_shape(self, numbers: Mapping[str, float]) -> Process:
-        """Return the process with new values for some numbers of its shape."""
+        """Return the process with new values of some shape parameters."""
         return replace(self, **numbers)
 
     def scaled(self, parameter: Parameter, factor: float) -> Process:
-        """Return the process with one number of its shape multiplied by a factor."""
+        """Return the process with one shape parameter multiplied by a factor."""
         return self.with_shape({parameter.name: self.numbers[parameter.name] * factor})
 
     def in_unit(self, unit: float) -> Process:
         """Return the process with its shape in another unit of time.
 
-        ``unit`` is the length of the new unit in the present one: ``in_unit(tau0)`` converts a
-        shape from s to samples, and ``in_unit(1.0 / tau0)`` from samples to s.
+        ``unit`` is the new unit of time as a multiple of the present unit: ``in_unit(tau0)``
+        converts a shape from s to samples, and ``in_unit(1.0 / tau0)`` from samples to s.
         """
         if not self.parameters:
             return self
@@ -305,17 +319,22 @@ class Process:
     def variance_of(self, coefficient: float, tau0: float) -> float:
         """Return the factor by which gamma is multiplied: the squared result of `in_samples`.
 
-        ``coefficient`` is in SI, and ``tau0`` is the sample period in s.
+        ``coefficient`` is in SI, and ``tau0`` is the sample period in s. The factor is at most
+        `MAX_FLOAT`^2. For a low-pass filter, it is the result of `in_samples` itself.
         """
         return min(abs(self.in_samples(coefficient, tau0)), MAX_FLOAT) ** 2
 
     def coefficient_of(self, variance: float, tau0: float) -> float:
-        """Return the SI coefficient for a factor ``variance`` of gamma; 0 for a negative factor."""
+        """Return the coefficient in SI for which `variance_of` is ``variance``.
+
+        The result is 0 for a negative variance, except for a low-pass filter, whose coefficient may
+        be negative.
+        """
         return math.sqrt(max(variance, 0.0)) * math.pow(tau0, self.time_power)
 
     @property
     def title(self) -> str:
-        """The label with the shape in s and Hz, rounded to two digits."""
+        """The label with the shape parameters in s and Hz, rounded to two digits."""
         numbers = {p.name: _two_digits(v) for p, v in zip(self.parameters, self.shape)}
         return self.label.format(**numbers)
 

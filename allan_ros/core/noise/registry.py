@@ -32,14 +32,14 @@ def _sort_key(kind: type[Process]) -> tuple[int, int, str]:
 PROCESSES: Mapping[str, type[Process]] = {
     one.name: one for one in sorted(_classes(), key=_sort_key)
 }
-"""Name of each process in documents -> its class. The five terms Q, N, B, K and R come first."""
+"""Name of each process in documents -> class of the process. The terms Q, N, B, K, R come first."""
 
 RANDOM_TERMS: tuple[Process, ...] = tuple(
     one()
     for one in PROCESSES.values()
     if one.letter and not one.parameters and not one.is_regressor
 )
-"""The random terms Q, N, B and K, which every model contains."""
+"""The random terms Q, N, B and K, with which every fit begins."""
 
 SEARCHED: tuple[type[Process], ...] = tuple(
     one

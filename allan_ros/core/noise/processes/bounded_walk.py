@@ -17,10 +17,11 @@ from .random_walk import RandomWalk
 
 @dataclass(frozen=True)
 class BoundedWalk(Process):
-    """Gauss-Markov process that grows like a random walk up to its correlation time.
+    """Gauss-Markov process that grows like a random walk up to its correlation time T.
 
-    The steps have the variance 1. At an infinite correlation time T, the process is a random walk.
-    A fit replaces the random walk by this process if the data show that 1/T is above 0.
+    The variance is T/2 for T in samples. If T is long, the variance of the change from one sample
+    to the next is nearly 1. If T is infinite, the process is a random walk. A fit replaces the
+    random walk by this process if the data show that 1/T is above 0.
     """
 
     name = 'bounded_walk'

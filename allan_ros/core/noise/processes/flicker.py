@@ -16,8 +16,8 @@ FLICKER_FLOOR = 2.0 * math.log(2.0) / math.pi
 """Ratio of the Allan variance of bias instability to B^2: (0.664)^2 (IEEE Std 952-1997, C.1.3)."""
 
 SERIES_FROM = 30
-"""Lag, as a number of means, above which the autocovariance of flicker noise is computed by a
-series. There, a second difference of large numbers would lose digits."""
+"""Lag, as a number of means, above which the autocovariance of flicker noise is computed from a
+series, because a second difference of large numbers would lose digits."""
 
 
 @dataclass(frozen=True)
@@ -25,8 +25,8 @@ class Flicker(Process):
     """Flicker noise with B = 1.
 
     gamma is the second difference of -t^2 ln|t| / (2 pi) with a step of M samples, divided by M^2.
-    At long lags, a series of this difference is used. gamma lacks a constant, which the term ln(M)
-    makes equal for all M.
+    At long lags, a series for this difference is used. The term ln(M) in gamma ensures that the
+    missing constant is the same for all M.
     """
 
     name = 'flicker'

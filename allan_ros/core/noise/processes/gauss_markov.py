@@ -14,13 +14,13 @@ from numpy.typing import ArrayLike
 from ..process import CORRELATION_TIME, Floats, Process, Search, States
 
 FAST = 8.0
-"""Correlation time in samples below which the spectrum looks like low-pass filtered white noise.
+"""Correlation time in samples below which a process looks like low-pass filtered white noise.
 
 Such a process is added to a model only if 2 log L is larger by `GAIN_RESOLVED` than for a model of
-a low-pass filter with as many coefficients (terms in f^2 and f^4). Measured differences of 2 log L:
-at most 1.9 for real filters that remove up to 15 % of the power; at least 6.9 for a process with a
-correlation time of 2 samples and a third of the standard deviation of the white noise, in 10 min at
-100 Hz."""
+a low-pass filter (terms in f^2 and f^4), which has as many parameters. Measured differences of
+2 log L: at most 1.9 for real filters that remove up to 15 % of the power; at least 6.9 for a
+process with a correlation time of 2 samples and a third of the standard deviation of the white
+noise, in 10 min at 100 Hz."""
 
 
 @dataclass(frozen=True)
@@ -42,16 +42,16 @@ class GaussMarkov(Process):
     def gamma(self, M: ArrayLike, j: ArrayLike) -> Floats:
         M, j, time = np.asarray(M, float), np.asarray(j, float), self.correlation_time
         x = M / time
-        # lag j >= 1: exp(-((j - 1) M + 1)/T) times the square of the mean of exp(-i/T), i < M
+        # lag j >= 1: exp(-((j - 1) M + 1)/T) times the squared mean of exp(-i/T) over 0 <= i < M
         mean = np.expm1(-x) / math.expm1(-1.0 / time) / M
         decay = np.expm1(-((np.maximum(j, 1.0) - 1.0) * x + 1.0 / time))
         at_lag = mean**2 * decay + (mean - 1.0) * (mean + 1.0)
-        # lag 0: the mean of exp(-|a - b|/T) - 1 over all pairs of samples
+        # lag 0: the mean of exp(-|a - b|/T) - 1 over all pairs of samples a, b of one mean
         half = 0.5 / time
         pair_mean = (
             M / math.tanh(half) + np.expm1(-x) / (2.0 * math.sinh(min(half, 300.0)) ** 2)
         ) / M**2
-        # series of the mean of exp(-u) - 1, u = |a - b|/T: means of -u, u^2/2 and -u^3/6
+        # series for the mean of exp(-u) - 1 with u = |a - b|/T: means of -u, u^2/2 and -u^3/6
         lag = (M - 1.0 / M) / (3.0 * time)
         series = -lag + (M**2 - 1.0) / (12.0 * time**2) - x**3 / 60.0 * (1.0 - 1.0 / M**2)
         return np.asarray(np.where(j >= 1, at_lag, np.where(x < 1e-3, series, pair_mean - 1.0)))

@@ -15,7 +15,8 @@ class LowPass(Quantization):
     """Effect of a low-pass filter on averages that are long compared with its impulse response.
 
     A filter multiplies the spectrum of white noise by a series in f^2. The term in f^2 has the
-    spectrum of quantization noise, with a coefficient that is mostly negative.
+    spectrum of quantization noise, but its coefficient q is mostly negative. Other than Q, q is not
+    squared: q tau0^-2 is the factor of gamma.
     """
 
     name = 'low_pass'

@@ -16,8 +16,8 @@ from ..process import CORRELATION_TIME, FREQUENCY, Floats, Parameter, Process, S
 from .sinusoid import Sinusoid
 
 CANDIDATE_TIMES = (1.0, 3.0)
-"""Correlation times of the candidates of a search, in units of 1.5 periods of the oscillation. A
-fitted correlation time is at least one period, because a resonance with a shorter correlation time
+"""Correlation times that a search tries, in units of 1.5 periods of the oscillation. A fitted
+correlation time is at least one period, because a resonance with a shorter correlation time
 imitates a low-pass filter."""
 
 
@@ -25,8 +25,8 @@ imitates a low-pass filter."""
 class Resonance(Process):
     """Second-order process of unit variance: a damped oscillation of random phase.
 
-    The autocovariance at a lag of t is exp(-t/T) cos(2 pi f t). If the bandwidth is far below the
-    resolution of the spectra, the fit replaces the resonance by a sinusoid.
+    The autocovariance at the lag t is exp(-t/T) cos(2 pi f t). A fit replaces the resonance by a
+    sinusoid if the bandwidth is at most a third of the width of a bin.
     """
 
     name = 'resonance'
@@ -56,7 +56,7 @@ class Resonance(Process):
 
     @property
     def density_at_zero(self) -> float:
-        """The integral of exp(-|t|/T) cos(2 pi f t) over all t."""
+        """The integral of the autocovariance exp(-|t|/T) cos(2 pi f t) over all lags t."""
         angle = 2.0 * math.pi * self.frequency * self.correlation_time
         return 2.0 * self.correlation_time / (1.0 + angle**2)
 
@@ -65,12 +65,12 @@ class Resonance(Process):
         return 0.0  # a resonance is fast compared with any drift
 
     def is_broad_near(self, highest: float) -> bool:
-        periods = self.frequency * self.correlation_time
-        return self.frequency > highest / 4.0 and periods < 2.0 * CANDIDATE_TIMES[0]
+        periods_correlated = self.frequency * self.correlation_time
+        return self.frequency > highest / 4.0 and periods_correlated < 2.0 * CANDIDATE_TIMES[0]
 
     def facts(self, value: float) -> dict[str, float]:
-        width = 1.0 / (math.pi * self.correlation_time)
-        return {'frequency': self.frequency, 'width': width, 'amplitude': value}
+        bandwidth = 1.0 / (math.pi * self.correlation_time)
+        return {'frequency': self.frequency, 'width': bandwidth, 'amplitude': value}
 
     def states(self) -> States:
         rate, angular_frequency = 1.0 / self.correlation_time, 2.0 * math.pi * self.frequency

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Rounding errors of a counter whose step is large compared with the noise of a sample."""
+"""Rounding errors of a counter whose step is not small compared with the noise of a sample."""
 
 from __future__ import annotations
 
@@ -15,19 +15,20 @@ from ..process import CORRELATION_TIME, FREQUENCY, Floats, Process
 from .quantization import Quantization
 
 NEGLIGIBLE_EXPONENT = 39.0
-"""Exponent x from which exp(-x), at most 1e-17, is negligible compared with 1."""
+"""Value of x from which exp(-x), at most about 1e-17, is negligible compared with 1."""
 
 LEAST_DECAY = 1e-4
-"""Smallest decay of the correlation per sample, which limits the number of terms of the series."""
+"""Smallest value of 1/T, where T is the correlation time in samples. This value limits the number
+of terms of the series."""
 
 
 @dataclass(frozen=True)
 class RoundedAngle(Process):
-    """Difference of correlated rounding errors of unit variance.
+    """First difference of correlated rounding errors of unit variance.
 
     A counter measures an angle (or a velocity) in whole steps and carries the remainder to the next
     sample. The rounding error is a sawtooth function of the angle. If the angle increases by a mean
-    of f steps per unit of time, with white noise, the autocovariance of the error at a lag of t is
+    of f steps per unit of time, with white noise, the autocovariance of the error at the lag t is
     6/pi^2 times the sum of exp(-n^2 t/T) cos(2 pi n f t)/n^2 over n = 1, 2, ... The time T is
     step^2/(2 pi^2 N^2), or shorter if the mean rate drifts. If T is far below the sample period,
     the errors are white, and the process is quantization noise.
@@ -57,7 +58,7 @@ class RoundedAngle(Process):
         return np.asarray((2.0 * at - before - after) / M**2)
 
     def _error_autocovariance(self, lag: Floats) -> Floats:
-        """Return the autocovariance of the rounding error at lags in samples, for unit variance."""
+        """Return the autocovariance of a rounding error of unit variance at lags in samples."""
         total, lags = np.ones(lag.shape), lag[lag > 0.0]
         if not lags.size:
             return total
@@ -65,9 +66,9 @@ class RoundedAngle(Process):
         terms = 1 + int(math.sqrt(NEGLIGIBLE_EXPONENT / float(exponents.min())))
         series = np.zeros(lags.shape)
         for n in range(1, terms + 1):
-            is_left = n * n * exponents < NEGLIGIBLE_EXPONENT
-            wave = np.cos(2.0 * math.pi * n * self.frequency * lags[is_left])
-            series[is_left] += np.exp(-n * n * exponents[is_left]) * wave / n**2
+            is_relevant = n * n * exponents < NEGLIGIBLE_EXPONENT
+            wave = np.cos(2.0 * math.pi * n * self.frequency * lags[is_relevant])
+            series[is_relevant] += np.exp(-n * n * exponents[is_relevant]) * wave / n**2
         total[lag > 0.0] = 6.0 / math.pi**2 * series
         return total
 
@@ -84,7 +85,7 @@ class RoundedAngle(Process):
 
 
 def rounding_of_counter(step: float, white: float, effect_of_rate: complex) -> RoundedAngle:
-    """Return the rounding errors of a counter; the shape is in samples.
+    """Return the process of the rounding errors of a counter, with its shape in samples.
 
     Parameters
     ----------
@@ -93,9 +94,9 @@ def rounding_of_counter(step: float, white: float, effect_of_rate: complex) -> R
     white : float
         Variance of the white noise of a sample.
     effect_of_rate : complex
-        Mean of exp(2 pi i y/step) over the mean rates y of many samples. Its phase is 2 pi times
-        the mean number of steps per sample, without the whole steps. Its magnitude is below 1 if
-        the rate drifts, and the drift reduces the correlation of successive errors by this factor.
+        Mean of exp(2 pi i y/step) over block means y of the samples. Its phase is 2 pi times the
+        mean number of steps per sample, up to whole steps. Its magnitude is below 1 if the rate
+        drifts: the drift reduces the correlation of successive errors by this factor.
     """
     frequency = abs(cmath.phase(effect_of_rate)) / (2.0 * math.pi)
     decay_by_noise = 2.0 * math.pi**2 * white / step**2

@@ -14,8 +14,8 @@ from numpy.typing import ArrayLike
 from ..process import FREQUENCY, LEAST_PERIODS, Floats, Process, Search
 
 SLOW_SINUSOID_HZ = 0.1
-"""Highest frequency in Hz of a sinusoid that counts as drift of the sensor, such as a temperature
-cycle. Faster sinusoids count as vibration or motion."""
+"""Highest frequency in Hz of a sinusoid that is regarded as drift of the sensor, such as a
+temperature cycle. Faster sinusoids are regarded as vibration or motion."""
 
 DAY_S = 86400.0
 
@@ -37,9 +37,9 @@ class Sinusoid(Process):
     frequency: float
 
     def gamma(self, M: ArrayLike, j: ArrayLike) -> Floats:
-        M, turn = np.asarray(M, float), math.pi * self.frequency
-        gain = np.sin(turn * M) / (M * math.sin(turn))
-        return np.asarray(0.5 * gain**2 * np.cos(2.0 * turn * M * np.asarray(j, float)))
+        M, half_angle = np.asarray(M, float), math.pi * self.frequency
+        gain = np.sin(half_angle * M) / (M * math.sin(half_angle))
+        return np.asarray(0.5 * gain**2 * np.cos(2.0 * half_angle * M * np.asarray(j, float)))
 
     @property
     def is_drift(self) -> bool:
@@ -56,20 +56,21 @@ class Sinusoid(Process):
     def alias_variance(self, step: int) -> float:
         if self.frequency * step <= 1.0:
             return 0.0
-        # the gain of the means at an alias is at most 1/(step sin(pi f))
+        # the mean over a number of samples multiplies the amplitude by at most 1/(step sin(pi f))
         return 0.5 / (step * math.sin(math.pi * self.frequency)) ** 2
 
     @classmethod
     def grid(cls, search: Search) -> Iterator[Process]:
         """Yield sinusoids whose frequencies are half a bin apart.
 
-        Below the lowest bin, the distance is half a period in the longest segment.
+        Below the lowest bin, each next sinusoid has half a period more in the longest segment.
         """
         f, highest = search.f, min(search.crossover, 0.5 / search.step)
         low_frequencies = np.arange(LEAST_PERIODS, search.longest * highest, 0.5) / search.longest
         width = np.diff(f, append=f[-1:] if len(f) else [])
-        is_in_octave = np.append(np.diff(search.block) == 0.0, False) if len(f) else width > 0.0
-        midpoints = (f + width / 2.0)[is_in_octave]  # between two bins of an octave
+        # whether the next bin is in the same octave
+        has_next = np.append(np.diff(search.block) == 0.0, False) if len(f) else width > 0.0
+        midpoints = (f + width / 2.0)[has_next]
         frequencies = np.unique(np.concatenate([low_frequencies, f, midpoints]))
         return (cls(float(frequency)) for frequency in frequencies if 0.0 < frequency < 0.49)
 
@@ -77,7 +78,8 @@ class Sinusoid(Process):
 def daily_cycle(samples: int, tau0: float) -> Sinusoid | None:
     """Return a sinusoid with a period of one day, or None if a segment lasts 18 h or less.
 
-    ``samples`` is the number of samples of the segment, and ``tau0`` is the sample period in s. A
-    daily cycle is expected because the temperature of most rooms has one.
+    ``samples`` is the number of samples of the segment, and ``tau0`` is the sample period in s. The
+    frequency is in cycles per sample. A daily cycle is expected because most rooms are warmer
+    during the day.
     """
     return Sinusoid(tau0 / DAY_S) if samples * tau0 > 0.75 * DAY_S else None
