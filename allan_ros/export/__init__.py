@@ -3,26 +3,32 @@
 """Configuration files of state estimators, calibration tools and simulators.
 
 A `Target` describes one file: its keys (`Key`), the convention of its numbers and the source of
-this convention, and its format (module `text`). The module `filter_noise` computes the `Row` of
-each key from the noise model. The module `computed` computes rows without a `Key`. The module
-`targets` contains all targets.
+this convention, and its format. The module `filter_noise` computes the `Row` of each key from the
+noise model. The module `computed` computes rows without a `Key`. The module `targets` contains all
+targets.
 """
 
 from __future__ import annotations
 
 import difflib
-from collections.abc import Callable, Mapping
+import math
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
-from ..core.errors import AllanError
+from ..core.errors import AllanError, one_line
+from ..core.filters.reductions import horizon_text
 from ..core.findings import Finding, finding
+from ..core.number_text import LIMIT_DIGITS, duration_text, significant
 from ..results.from_datasheet import FROM_DATASHEET
-from .filter_noise import FilterNoise
+from ..results.results import MOTION_MEASURED
+from ..version import __version__
+from .filter_noise import REFUSED, FilterNoise
 from .target import RAISED, Export, ExportOptions, Row, Target, origin_text
 from .targets import TARGETS
-from .text import header_lines
 
 if TYPE_CHECKING:
+    from ..core.estimate import Estimate
+    from ..core.filters.motion_factors import SensorInMotion
     from ..results.results import Results
 
 __all__ = [
@@ -97,7 +103,7 @@ def make_export(
     target = target_of(name)
     noise = FilterNoise(results, options, target)
     rows = noise.rows()
-    text = target.form(rows, header_lines(name, noise, rows, words))
+    text = target.form(rows, _header_lines(name, noise, rows, words))
     findings = [note for row in rows for note in row.findings] + noise.findings()
     for id, keys in (
         ('export_limits', [row.key for row in rows if row.is_limit]),
@@ -106,3 +112,120 @@ def make_export(
         if keys and results.method != FROM_DATASHEET:
             findings.append(finding(id, keys=', '.join(dict.fromkeys(keys))))
     return Export(text, tuple(dict.fromkeys(findings)))
+
+
+# --- header ---------------------------------------------------------------------------------------
+
+NAMED_SOURCES = 3
+"""Largest number of recordings that the header comment names; further recordings are counted."""
+
+
+def _header_lines(
+    name: str, noise: FilterNoise, rows: Sequence[Row], words: Callable[[Finding], str]
+) -> list[str]:
+    """Return the lines of the header comment, without comment marks.
+
+    The lines state source, date, convention, units, rate, axes, intervals and warnings. ``name`` is
+    the name of the target, and ``words`` returns the text of a finding.
+    """
+    results, target = noise.results, noise.target
+    limit_keys = dict.fromkeys(row.key for row in rows if row.is_limit)
+    keys_without_interval = dict.fromkeys(row.key for row in rows if row.no_interval)
+    first_ids = (*REFUSED, 'from_datasheet')
+    subject = 'Bias of an IMU over' if name == 'temperature' else 'IMU noise for'
+    start = results.provenance.start
+    title = [
+        f'{subject} {name}, measured by allan_ros {__version__} (method {results.method})',
+        f'source: {_sources(results)}; {duration_text(results.duration_s, 3)} at rest, '
+        f'{significant(results.rate_hz, 5)} Hz',
+        f'date: recorded from {start:%Y-%m-%d %H:%M:%S} UTC on' if start else 'date: not known',
+    ]
+    if results.method == FROM_DATASHEET:
+        title = [
+            f'IMU noise for {name}, from the datasheet of {results.identity.frame_id} and not '
+            f'measured (allan_ros {__version__})',
+            *(f'source: {source.path}' for source in results.provenance.sources),
+        ]
+    axes = 'one number for each of x, y, z' if target.three else 'the largest number of x, y, z'
+    lines = [
+        *(f'warning: {words(note)}' for note in results.findings if note.id in first_ids),
+        *title,
+        f'convention: {target.convention}',
+        f'rate: f = {noise.rate:g} Hz, {noise.rate_words}',
+        f'axes: {axes}; inflation: {_inflation(noise)}',
+    ]
+    if noise.options.fidelity == 'coefficients':
+        lines.append('fidelity: N and K as measured; they underestimate flicker and drift')
+    elif noise.used:
+        smallest_ratios, largest_ratios = zip(*(reduced.ratio for reduced in noise.used.values()))
+        lines.append(
+            'reduction: N and K bound the error growth of the complete model over '
+            f'{horizon_text(noise.horizon)}: they predict {min(smallest_ratios):.2f} to '
+            f'{max(largest_ratios):.2f} times this growth'
+        )
+    lines += [
+        *(f'{row.key} {row.words}' for row in rows if row.words),
+        f'upper limits instead of measurements: {", ".join(limit_keys) or "none"}',
+        *(
+            [f'values without a 95 % interval: {", ".join(keys_without_interval)}']
+            if keys_without_interval
+            else []
+        ),
+        *(f'note: {note}' for note in target.notes),
+        *(
+            f'note: {words(note)}'
+            for note in results.findings
+            if noise.options.motion and note.id in MOTION_MEASURED
+        ),
+        *dict.fromkeys(f'note: {words(note)}' for row in rows for note in row.findings),
+        *(f'warning: {words(note)}' for note in noise.findings()),
+        *(
+            f'warning: {words(note)}'
+            for note in results.findings
+            if note.severity != 'info' and note.id not in first_ids
+        ),
+    ]
+    return [one_line(line) for line in lines]
+
+
+def _inflation(noise: FilterNoise) -> str:
+    """Return a text for the header: the factors by which the noise is multiplied."""
+    note, motion = 'the levels below are without these factors', noise.results.motion
+    if noise.options.motion and motion is not None:
+        factors_in_motion = ', '.join(
+            f'{name} {_raised(sensor_in_motion)}'
+            for name, sensor_in_motion in motion.sensors.items()
+        )
+        return f'in motion, {factors_in_motion}, from {len(motion.drives)} drives; {note}'
+    factors = noise.options.factors
+    distinct_factors = set(factors.values())
+    if distinct_factors == {1.0}:
+        return 'none'
+    factor_of_each = ', '.join(f'{sensor} x{factor:g}' for sensor, factor in factors.items())
+    factor_text = factor_of_each if len(distinct_factors) > 1 else f'x{distinct_factors.pop():g}'
+    return f'{factor_text} on every N, K and bias; {note}'
+
+
+def _raised(sensor: SensorInMotion) -> str:
+    """Return the factors of a sensor in motion as text, such as 'N x2.7 (2.2 to 3.3)'."""
+    terms: dict[Estimate, list[str]] = {}
+    for term, factor in sensor.raised.items():
+        terms.setdefault(factor, []).append(term)
+    texts = []
+    for factor, names in terms.items():
+        value, low, high = (
+            significant(x, LIMIT_DIGITS)
+            for x in (factor.value or 1.0, *(factor.ci95 or (0.0, math.inf)))
+        )
+        remark = '' if (factor.value or 0.0) > 1.0 else 'not raised, '
+        texts.append(f'{" and ".join(names)} {remark}x{value} ({low} to {high})')
+    return ' and '.join(texts)
+
+
+def _sources(results: Results) -> str:
+    sources = [f'{s.path} {s.topic}'.strip() for s in results.provenance.sources]
+    unnamed_count = len(sources) - NAMED_SOURCES
+    source_names = ', '.join(sources[:NAMED_SOURCES]) + (
+        f' and {unnamed_count} more' if unnamed_count > 0 else ''
+    )
+    return source_names or 'sums without a recording'

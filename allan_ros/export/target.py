@@ -1,14 +1,19 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Data types of the export: targets, keys and rows of a file, and the options of the user."""
+"""Export targets: options of the user, keys and rows of a file, and the formats of files."""
 
 from __future__ import annotations
 
+import json
 import math
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from numbers import Real
 from typing import Any, NamedTuple
+
+import yaml
 
 from ..core.errors import AllanError, one_line
 from ..core.filters.reductions import HORIZON_S, FilterLevel
@@ -254,3 +259,100 @@ class Export(NamedTuple):
 
     text: str
     findings: tuple[Finding, ...]
+
+
+# --- formats --------------------------------------------------------------------------------------
+
+INDENT = 2
+
+INNERMOST_LIST = re.compile(r'\[\s+([^][{}"]*?)\s+\]')
+"""Pattern of a list of numbers that is written on several lines."""
+
+
+def nested(rows: Sequence[Row]) -> dict[str, Value]:
+    """Return the values of the rows as nested dicts, whose keys are the paths of the rows."""
+    tree: dict[str, Value] = {}
+    for row in rows:
+        mapping: Any = tree
+        for key in row.path[:-1]:
+            mapping = mapping.setdefault(key, {})
+        mapping[row.key] = row.value
+    return tree
+
+
+def json_form(rows: Sequence[Row], header: Sequence[str]) -> str:
+    """Return a JSON file. JSON has no comments, so the header is the value of the key allan_ros."""
+    # the header is last, because the program that reads the file may expect another key first
+    document = {**nested(rows), 'allan_ros': list(header)}
+    text = json.dumps(document, indent=INDENT, ensure_ascii=False, allow_nan=False)
+    return INNERMOST_LIST.sub(lambda found: f'[{" ".join(found[1].split())}]', text) + '\n'
+
+
+def line_form(line: str, before: str = '', after: str = '') -> Form:
+    """Return a function that writes a file with one line per key.
+
+    ``line`` is a `str.format` template with ``key`` and ``value``. ``before`` is text between
+    header and lines, ``after`` is text after the lines.
+    """
+
+    def form(rows: Sequence[Row], header: Sequence[str]) -> str:
+        comments = ''.join(f'# {text}\n' for text in header)
+        lines = (line.format(key=row.key, value=row.value) + '\n' for row in rows)
+        return f'{comments}{before}{"".join(lines)}{after}'
+
+    return form
+
+
+def xml_form(rows: Sequence[Row], header: Sequence[str]) -> str:
+    """Return a fragment of XML; a key that starts with '@' is an attribute of its element."""
+    # an XML comment must not contain two hyphens in a row
+    lines = ''.join(f'  {line.replace("--", "- -")}\n' for line in header)
+    return f'<!--\n{lines}-->\n' + '\n'.join(_elements(nested(rows))) + '\n'
+
+
+def _elements(tree: dict[str, Value], depth: int = 0) -> list[str]:
+    lines, margin = [], ' ' * INDENT * depth
+    for key, value in tree.items():
+        if key.startswith('@'):
+            continue
+        if not isinstance(value, dict):
+            lines.append(f'{margin}<{key}>{value}</{key}>')
+            continue
+        attributes = ''.join(f' {k[1:]}="{v}"' for k, v in value.items() if k.startswith('@'))
+        lines += [f'{margin}<{key}{attributes}>', *_elements(value, depth + 1), f'{margin}</{key}>']
+    return lines
+
+
+class _Dumper(yaml.SafeDumper):  # type: ignore[misc]
+    """Writes YAML with lists of numbers on one line, and indents lists as OpenCV requires."""
+
+    def increase_indent(self, flow: bool = False, indentless: bool = False) -> Any:
+        return super().increase_indent(flow, False)
+
+    def ignore_aliases(self, data: Any) -> bool:
+        return True
+
+
+_Dumper.add_representer(
+    list,
+    lambda dumper, row: dumper.represent_sequence(
+        'tag:yaml.org,2002:seq', row, not any(isinstance(item, list) for item in row)
+    ),
+)
+
+
+def yaml_form(rows: Sequence[Row], header: Sequence[str], first: str = '') -> str:
+    """Return a YAML file that begins with the text ``first``, followed by the header."""
+    tree: str = yaml.dump(
+        nested(rows),
+        Dumper=_Dumper,
+        width=10**6,
+        allow_unicode=True,
+        sort_keys=False,
+        indent=INDENT,
+    )
+    return first + ''.join(f'# {line}\n' for line in header) + tree
+
+
+opencv_form = partial(yaml_form, first='%YAML:1.0\n')
+"""Function like `yaml_form`, for YAML files that OpenCV reads (cv::FileStorage)."""

@@ -24,10 +24,14 @@ from .target import (
     Key,
     Target,
     Value,
+    json_form,
     keys_of,
+    line_form,
     noise_keys,
+    opencv_form,
+    xml_form,
+    yaml_form,
 )
-from .text import json_form, line_form, opencv_form, xml_form, yaml_form
 
 KALIBR_KEYS = keys_of("""
 accelerometer_noise_density  accel  N

@@ -1,16 +1,20 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A file is complete or missing, and no temporary file is left."""
+"""Files are written completely or not at all, and untrusted YAML is read in limited memory."""
 
 from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import Any
 
 import pytest
+import yaml
 
 from allan_ros.core.errors import AllanError
-from allan_ros.readers.files import config_file, read_yaml, write_atomic
+from allan_ros.readers import open_recordings
+from allan_ros.readers.files import config_file, parse_yaml, read_yaml, write_atomic
+from fuzz.folder_target import MERGES, YAML_TRICKS
 
 
 def test_content_replaces_content(tmp_path: Path) -> None:
@@ -68,3 +72,31 @@ def test_a_date_that_does_not_exist_is_an_error_of_the_file(tmp_path: Path) -> N
     path.write_text('measured: 2024-13-45')
     with pytest.raises(AllanError, match='is not YAML'):
         read_yaml(path)
+
+
+@pytest.mark.parametrize(
+    'text, value',
+    [
+        ('{"N": 1e-4}', {'N': 1e-4}),
+        ('a: &x [1]\nb: *x', {'a': [1], 'b': [1]}),
+        ('[' * 50 + ']' * 50, None),
+    ],
+)
+def test_yaml_is_parsed_to_its_values(text: str, value: Any) -> None:
+    assert value is None or parse_yaml(text) == value
+    assert parse_yaml(text) is not None
+
+
+@pytest.mark.parametrize(
+    'text', ['[' * 5000, '{a: ' * 5000, '- ' * 5000, '? ' * 5000, MERGES, 'a: {<<: {b: 1}}']
+)
+def test_slow_documents_are_rejected(text: str) -> None:
+    with pytest.raises(yaml.YAMLError):
+        parse_yaml(text)
+
+
+@pytest.mark.parametrize('text', YAML_TRICKS)
+def test_metadata_that_would_fill_the_memory_is_rejected(text: str, tmp_path: Path) -> None:
+    (tmp_path / 'metadata.yaml').write_text(text)
+    with pytest.raises(AllanError, match=r'metadata\.yaml'):
+        open_recordings([tmp_path])
