@@ -29,8 +29,7 @@ from ..results.documents import labels_of
 from ..results.documents import load as load_results
 from ..results.from_datasheet import DEFAULT_RATE_HZ, results_of_datasheet
 from ..results.results import Results as PlainResults
-from ..view.finding_text import finding_line
-from ..view.result_settings import check_plots
+from ..view.finding_text import explained, finding_line
 
 if TYPE_CHECKING:
     from ..view.verdict_text import Verdict
@@ -52,8 +51,6 @@ def public(function: Callable[P, T]) -> Callable[P, T]:
         try:
             return checked(*args, **given)
         except AllanError as error:
-            from ..view.finding_text import explained
-
             raise explained(error) from error.__cause__
 
     return with_explained_errors
@@ -243,7 +240,7 @@ class Results(PlainResults):
             When the results have no Allan sums, an argument is invalid, the folder has results of
             another recording, or a file cannot be written.
         """
-        from ..view.result_files import write_result_files
+        from ..view.result_files import check_plots, write_result_files
 
         expect(PATH, 'a path', folder=folder)
         choose(UNIT_SYSTEMS, units=units)

@@ -26,8 +26,7 @@ from ..results.datasheets import load_sensor
 from ..results.documents import labels_of
 from ..results.results import Results as PlainResults
 from ..results.simulation import is_truth
-from ..view.result_settings import ResultSettings
-from .analysis import read_settings, results_of
+from .analysis import ResultSettings, read_settings, results_of
 from .classes import public
 
 

@@ -12,7 +12,7 @@ from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
-from ..api.analysis import is_document
+from ..api.analysis import ResultSettings, is_document
 from ..core.errors import AllanError, one_line
 from ..core.findings import Finding
 from ..core.imu import sensor_of
@@ -34,7 +34,6 @@ from ..results.plan import load_plan
 from ..view.batch_files import SUMMARY
 from ..view.finding_text import finding_line
 from ..view.result_document import result_document
-from ..view.result_settings import ResultSettings
 from ..view.verdict_text import verdict_of
 from .batch import run_batch, run_check, unread_units
 from .cluster import on_cluster

@@ -13,7 +13,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from ..api.analysis import is_document
+from ..api.analysis import ResultSettings, is_document
 from ..api.classes import compared
 from ..core.errors import AllanError, one_line
 from ..core.findings import SEVERITIES, Finding
@@ -25,7 +25,6 @@ from ..results.documents import load, load_sums
 from ..results.results import Results
 from ..results.unit_check import Decision
 from ..view.finding_text import explained, finding_line
-from ..view.result_settings import ResultSettings
 from .cluster import on_cluster
 from .console import EXIT_ERROR, EXIT_FAULT, Console, fault_text
 from .options import settings_of

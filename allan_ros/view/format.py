@@ -124,9 +124,6 @@ def _plus_minus(value: float, ends: tuple[float, float], unit: ShownUnit) -> str
 
 # --- figures --------------------------------------------------------------------------------------
 
-FORMATS = ('png', 'svg', 'pdf')
-"""File formats of figures."""
-
 TERM_STYLES: dict[str, tuple[str, Any]] = {
     'Q': ('#CC79A7', (0, (1, 1.2))),
     'N': ('#0072B2', (0, (5, 1.5))),

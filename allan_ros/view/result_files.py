@@ -9,6 +9,7 @@ import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,6 +17,7 @@ from ..core.errors import AllanError, one_line
 from ..core.fields import Fields
 from ..core.findings import finding
 from ..core.imu import SENSORS
+from ..core.settings import choose
 from ..core.stream.signal import summarize_signal
 from ..export import TARGETS, make_export, target_of
 from ..readers.files import PathLock, read_json, to_json, write_together
@@ -26,7 +28,6 @@ from ..results.documents import (
     sums_file_to_document,
 )
 from .finding_text import explained, finding_line
-from .format import FORMATS
 from .report import render_report
 from .result_document import result_document
 
@@ -35,6 +36,9 @@ if TYPE_CHECKING:
 
 SIGNAL_BINS = 1000
 """Number of time intervals in the plot of the raw signal, about the width of the plot in pixels."""
+
+FIGURE_FORMATS = ('png', 'svg', 'pdf')
+"""File formats of figures."""
 
 REPORT = 'report.html'
 
@@ -137,7 +141,7 @@ def _files_in(folder: Path, results: Results, overwrite: bool) -> set[str]:
             f'{", ".join(_names(former_sources))}: give another folder, or --overwrite '
             '(in Python overwrite=True)'
         )
-    possible_names = {f'allan_{sensor}.{form}' for sensor in SENSORS for form in FORMATS}
+    possible_names = {f'allan_{sensor}.{form}' for sensor in SENSORS for form in FIGURE_FORMATS}
     possible_names |= {REPORT, *(target_of(name).file_name for name in TARGETS)}
     return possible_names.intersection(name for name in listed_names if isinstance(name, str))
 
@@ -157,6 +161,14 @@ def _filter_files(results: Results, targets: Sequence[str]) -> tuple[dict[str, s
             failure = finding('file_left_out', file=target.file_name, why=str(explained(error)))
             results = replace(results, findings=(*results.findings, failure))
     return files, results
+
+
+def check_plots(formats: Sequence[str]) -> None:
+    """Raise AllanError for an unknown format of figures, or if matplotlib is needed but missing."""
+    for form in formats:
+        choose(FIGURE_FORMATS, plots=form)
+    if formats:
+        import_module('.plots', __package__)
 
 
 def made_folder(folder: Path) -> Path:
