@@ -26,7 +26,7 @@ from allan_ros.core.allan.running import RunningSums
 from allan_ros.core.allan.sums import AllanSums
 from allan_ros.core.estimate import Z_95
 from allan_ros.core.filters.growth import GROWTH_WINDOW_S, growth_table
-from allan_ros.core.fit import bias_changes, settling
+from allan_ros.core.fit import bias_changes
 from allan_ros.core.fit.methods import fit_noise
 from allan_ros.core.fit.result import NoiseModel
 from allan_ros.core.fit.stationary import fit_stationary
@@ -99,7 +99,7 @@ def show_alarms(records: int, seed: int) -> Iterator[tuple[str, ...]]:
 
 def show_gains(records: int, seed: int) -> Iterator[tuple[str, ...]]:
     """Yield quantiles of the likelihood gains of settling and steps in records without changes."""
-    settling.GAIN_SETTLING = bias_changes.GAIN_STEPS = 0.0
+    bias_changes.GAIN_SETTLING = bias_changes.GAIN_STEPS = 0.0
     for k, (name, terms) in enumerate(CLEAN.items()):
         warm: list[float] = []
         steps: list[float] = []
@@ -108,7 +108,7 @@ def show_gains(records: int, seed: int) -> Iterator[tuple[str, ...]]:
             means = sums.recordings[0].means[0]
             segment = bias_changes.Segment.of(statistics(sums), means, 1.0)
             assert segment is not None  # None only for shorter records
-            one = settling.settling(sums, statistics(sums), [0, 1, 2])
+            one = bias_changes.settling(sums, statistics(sums), [0, 1, 2])
             warm.append(one.gain if one else 0.0)
             each = [bias_changes.bias_steps(segment, a) for a in range(3)]
             steps += [s.excess if s else 0.0 for s in each]

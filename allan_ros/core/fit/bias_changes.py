@@ -1,19 +1,23 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Changes of the bias with time that are not noise, such as steps.
+"""Changes of the bias with time that are not noise: settling after the start, and steps.
 
-An effect is a change of the bias of known form and unknown size, such as a step or exp(-t/T).
+An effect is a change of the bias of known form and unknown size: a settling exp(-t/T) or a step.
 
 Method
 ------
 The size of an effect is estimated from the block means of a segment by generalized least squares.
 Then the noise is fitted again to the data minus the effect. The gain of an effect is the decrease
 of -2 log likelihood when the effect is added to the model.
+
+All axes of a sensor settle with one time constant T, which maximizes the likelihood. Each axis has
+its own size A of the settling A exp(-t/T).
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -21,19 +25,25 @@ import numpy as np
 
 from ..allan.periods import BlockMeans
 from ..allan.sums import AllanSums
-from ..findings import Finding, finding
+from ..findings import Finding, finding, quantity
+from ..imu import sensor_of
 from ..noise import RANDOM_TERMS, Process
 from ..noise.derived import avar
 from ..noise.processes.sinusoid import daily_cycle
 from ..number_text import duration_text
 from .likelihood import AxisData, Columns, Fit, LowBand
 from .result import K
-from .statistics import Floats, Group, Size, Statistics, contrasts, lower_edge
-
-GAIN_STEPS, GAIN_MORE_STEPS = 20.0, 10.0
-"""Least gain in -2 log L for the first step of the bias, and for each further step. In simulations
-without steps, the 99 % quantiles of the gain are 11 to 22, depending on the noise
-(`bench/bench_stationarity.py`)."""
+from .statistics import (
+    Floats,
+    Group,
+    Settling,
+    Size,
+    Statistics,
+    contrasts,
+    decay_of_means,
+    elapsed,
+    lower_edge,
+)
 
 MOST_CONTRASTS = 96
 """Largest number of contrasts of the block means; octave spectra describe higher frequencies."""
@@ -42,25 +52,12 @@ NEAR_OCTAVES = 4
 """Number of octave spectra that are used in addition to the contrasts: the octaves directly above
 the frequencies of the contrasts."""
 
-MOST_STEPS = 5
-"""Largest number of steps of an axis."""
-
 LEAST_MEANS = 24
 """Fewest block means of a segment in which a settling and steps are searched for."""
 
 LEAST_TESTED_S = 120.0
 """Shortest segment in s in which a settling and steps are searched for. In shorter segments,
 vibration rather than drift changes the means."""
-
-STEPS_RATIO = 0.5
-"""Largest variance of the random walk in a model with steps, relative to the variance in a model
-without steps, for which the steps are reported. A drift that is not a random walk often looks like
-a few steps, but such steps explain less of the random walk."""
-
-PROMISING_SCORE = 8.0
-"""Least score of a step for which the noise is fitted again. It is below `GAIN_STEPS`, because the
-score is computed with the noise of a fit without the step. If there is a step, this noise is too
-large, and the score is too small."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,10 +207,6 @@ class AxisSegment:
         variance = sum(p * float(avar(c, max(m, 1.0))) for p, c in zip(fit.p, RANDOM_TERMS))
         return math.sqrt(variance * self.data.scale)
 
-    def walk(self, fit: Fit) -> float:
-        """Return the variance that the random walk of a fit gains per sample, in SI."""
-        return float(fit.p[K]) * self.data.scale
-
 
 class FittedEffects(NamedTuple):
     """Sizes of steps or of a settling, and the fit of the noise to the data minus these effects."""
@@ -223,26 +216,203 @@ class FittedEffects(NamedTuple):
     gain: float  # decrease of -2 log L by all effects together
 
 
-# --- steps ----------------------------------------------------------------------------------------
+# --- settling -------------------------------------------------------------------------------------
+
+
+GAIN_SETTLING = 16.5
+"""Least gain in -2 log L of a settling, summed over the axes of a sensor. In simulations without a
+settling, the 99 % quantiles of the gain are 10 to 13, depending on the noise, so that false alarms
+are below 1 % of the sensors (`bench/bench_stationarity.py`)."""
+
+TIMES = 2.0 * 0.5 ** np.arange(9)
+"""Trial values of the time constant, relative to the length of the segment."""
+
+REFINEMENTS = 4
+"""Number of refinements of the time constant. Each refinement halves the distance between trial
+values on a logarithmic scale."""
+
+PROMISING_SETTLING = 5.0
+"""Least score of a settling, summed over the axes, for which the noise is fitted again. It is below
+`GAIN_SETTLING`, because a score is computed with the noise of a fit without the settling. If there
+is a settling, this noise is too large, and the score is too small."""
+
+LEAST_SEGMENT = 0.3
+"""Least length of the first segment of a recording, relative to the recording, for which a settling
+is searched for in this segment."""
+
+TESTED_RECORDINGS = 4
+"""Number of the longest recordings that are tested for a settling."""
+
+MOST_LEFT = 1.0
+"""Largest part of a settling that may be left at the end of a recording, relative to the Allan
+deviation of the noise at the time constant. If more is left, the sensor has not settled."""
 
 
 @dataclass(frozen=True)
-class BiasSteps:
-    """Steps of the bias of one axis, and the random walk without and with these steps."""
+class SensorSettling:
+    """Settling of the axes of one sensor.
 
-    ns: tuple[int, ...]  # stamps of the steps in ns
-    sizes: tuple[float, ...]  # sizes of the steps in SI
-    walk_before: float  # variance of the random walk per sample, without steps in the model
-    walk_after: float  # variance of the random walk per sample, with the steps in the model
-    excess: float  # gain of all steps minus the least gain for this number of steps
+    Attributes
+    ----------
+    settling : Settling
+        Time constant of the sensor, and size of each axis in each recording.
+    axes : tuple of int
+        Indices of the axes that settle.
+    gain : float
+        Gain in -2 log L, summed over the axes, in the recording with the largest gain.
+    left : float
+        Part of the settling that is left at the end of the first segment of a recording, divided by
+        the Allan deviation of the noise at the time constant. It is the largest of these ratios for
+        all axes and recordings.
+    """
+
+    settling: Settling
+    axes: tuple[int, ...]
+    gain: float
+    left: float
 
 
-class _Steps(NamedTuple):
-    """Steps of the bias between block means, and the fit with these steps."""
+@dataclass(frozen=True, eq=False)
+class _Sensor:
+    """First segment of a recording, with the noise of the axes of one sensor in this segment."""
+
+    segment: Segment
+    noise: Mapping[int, AxisSegment]
+
+    def effects(self, time: float) -> dict[int, FittedEffects]:
+        """Return index of an axis -> fit with a settling; ``time`` is T in samples."""
+        decay = self.segment.contrasts_of(_decays([time], self.segment.means))
+        return {axis: one.with_effects(decay) for axis, one in self.noise.items()}
+
+    def gain(self, time: float) -> float:
+        """Return the gain of a settling in -2 log L, summed over the axes."""
+        return sum(max(one.gain, 0.0) for one in self.effects(time).values())
+
+    def best_time(self) -> tuple[float, float]:
+        """Return the time constant in samples with the largest gain, and this gain.
+
+        Both are 0 if no score reaches `PROMISING_SETTLING`.
+        """
+        means = self.segment.means
+        times = (TIMES * (len(means.values) * means.step)).tolist()
+        decays = self.segment.contrasts_of(_decays(times, means))
+        no_effects = decays[:, :0]
+        scores = np.sum(
+            [one.scores(decays, no_effects, one.fit) for one in self.noise.values()], axis=0
+        )
+        if scores.max() < PROMISING_SETTLING:
+            return 0.0, 0.0
+        gains = {t: self.gain(t) for t, score in zip(times, scores) if score > 0.4 * scores.max()}
+        best = max(gains, key=lambda t: gains[t])
+        if gains[best] < GAIN_SETTLING / 2.0:
+            return best, gains[best]
+        for k in range(REFINEMENTS):
+            factor = 2.0**0.5 ** (k + 1)
+            for t in (best / factor, best * factor):
+                gains[t] = self.gain(t)
+            best = max(gains, key=lambda t: gains[t])
+        return best, gains[best]
+
+
+def settling(sums: AllanSums, known: Statistics, axes: Sequence[int]) -> SensorSettling | None:
+    """Return the settling of the axes of a sensor, or None if no recording shows a settling.
+
+    The time constant is taken from the recording with the largest gain. ``known`` are the
+    statistics of the sums, and ``axes`` are the indices of the axes.
+    """
+    tau0 = sums.tau0 or 1.0
+    by_length = sorted(range(len(sums.recordings)), key=lambda i: -sums.recordings[i].samples)
+    sensors = {}
+    for i in by_length[:TESTED_RECORDINGS]:
+        recording = sums.recordings[i]
+        first_means = recording.means[0] if recording.means else None
+        if first_means is None or first_means.samples < LEAST_SEGMENT * recording.samples:
+            continue
+        segment = Segment.of(known, first_means, tau0)
+        if segment is not None:
+            by_axis = {a: segment.axis(a) for a in axes}
+            noise = {a: one for a, one in by_axis.items() if one is not None}
+            if noise:
+                sensors[i] = _Sensor(segment, noise)
+    best_times = [one.best_time() for one in sensors.values()]
+    time, gain = max(best_times, key=lambda each: each[1], default=(0.0, 0.0))
+    if gain < GAIN_SETTLING:
+        return None
+    sizes: dict[int, Floats] = {}
+    settling_axes: set[int] = set()
+    largest_left = 0.0
+    for i, sensor in sensors.items():
+        effects = sensor.effects(time)
+        if sum(max(one.gain, 0.0) for one in effects.values()) < GAIN_SETTLING:
+            continue  # this recording has no settling
+        recording, segment = sums.recordings[i], sensor.segment
+        elapsed_samples = elapsed(recording, segment.means, tau0)
+        size = np.zeros(len(sums.axes))
+        for axis, one in effects.items():
+            if max(one.gain, 0.0) < GAIN_SETTLING / len(effects) / 2.0:
+                continue
+            size[axis] = float(one.sizes[0]) * math.exp(min(elapsed_samples / time, 50.0))
+            settling_axes.add(axis)
+            remaining = abs(float(one.sizes[0])) * math.exp(-segment.means.samples / time)
+            largest_left = max(
+                largest_left, remaining / sensor.noise[axis].deviation(one.fit, time)
+            )
+        sizes[i] = size
+    return SensorSettling(Settling(time, sizes), tuple(sorted(settling_axes)), gain, largest_left)
+
+
+def _decays(times: Sequence[float], means: BlockMeans) -> Floats:
+    """Return the block means of exp(-t/T) for each T, (means, times)."""
+    return np.array([decay_of_means(t, means.step, len(means.values)) for t in times]).T
+
+
+def settling_findings(sums: AllanSums, found: Sequence[SensorSettling]) -> list[Finding]:
+    """Return one finding about each settling in ``found``."""
+    tau0 = sums.tau0 or 1.0
+    findings = []
+    for sensor_settling in found:
+        sizes = [abs(s) for size in sensor_settling.settling.sizes.values() for s in size.tolist()]
+        axes = tuple(sums.axes[a] for a in sensor_settling.axes)
+        size = quantity(max(sizes), sensor_of(axes[0]), 'signal')
+        time = sensor_settling.settling.time * tau0
+        if sensor_settling.left > MOST_LEFT:
+            longer = time * math.log(sensor_settling.left / MOST_LEFT)
+            needed = max(r.samples for r in sums.recordings) * tau0 + longer
+            findings.append(finding('not_settled', axes, size=size, time=time, how_long=needed))
+        else:
+            findings.append(finding('settling', axes, size=size, time=time))
+    return findings
+
+
+# --- steps ----------------------------------------------------------------------------------------
+
+
+GAIN_STEPS, GAIN_MORE_STEPS = 20.0, 10.0
+"""Least gain in -2 log L for the first step of the bias, and for each further step. In simulations
+without steps, the 99 % quantiles of the gain are 11 to 22, depending on the noise
+(`bench/bench_stationarity.py`)."""
+
+MOST_STEPS = 5
+"""Largest number of steps of an axis."""
+
+STEPS_RATIO = 0.5
+"""Largest variance of the random walk in a model with steps, relative to the variance in a model
+without steps, for which the steps are reported. A drift that is not a random walk often looks like
+a few steps, but such steps explain less of the random walk."""
+
+PROMISING_STEP = 8.0
+"""Least score of a step for which the noise is fitted again. It is below `GAIN_STEPS`, because the
+score is computed with the noise of a fit without the step. If there is a step, this noise is too
+large, and the score is too small."""
+
+
+class BiasSteps(NamedTuple):
+    """Steps of the bias of one axis, and the fit of the noise with these steps."""
 
     # index of the last block mean before each step, in the order in which the steps were found
     at: list[int]
     effects: FittedEffects
+    before: Fit  # fit of the noise without steps
 
     @property
     def excess(self) -> float:
@@ -257,28 +427,18 @@ def bias_steps(segment: Segment, axis: int) -> BiasSteps | None:
         return None
     points = len(segment.means.values)
     steps = segment.contrasts_of(np.tril(np.ones((points, points)))[:, 1:])
-    trials: list[_Steps] = []
+    trials: list[BiasSteps] = []
     indices: list[int] = []
     fit = noise.fit
     while len(indices) < MOST_STEPS:
         scores = noise.scores(steps, steps[:, indices], fit)
-        if scores.max() < PROMISING_SCORE:
+        if scores.max() < PROMISING_STEP:
             break
         indices = [*indices, int(scores.argmax())]
-        trials.append(_Steps(indices, noise.with_effects(steps[:, indices])))
+        trials.append(BiasSteps(indices, noise.with_effects(steps[:, indices]), noise.fit))
         fit = trials[-1].effects.fit
     best = max(trials, key=lambda each: each.excess, default=None)
-    if best is None or best.excess <= 0.0:
-        return None
-    order = np.argsort(best.at)
-    period = segment.means.step * segment.tau0 * 1e9
-    return BiasSteps(
-        tuple(segment.means.start_ns + round((best.at[i] + 1) * period) for i in order),
-        tuple(float(best.effects.sizes[i]) for i in order),
-        noise.walk(noise.fit),
-        noise.walk(best.effects.fit),
-        best.excess,
-    )
+    return best if best is not None and best.excess > 0.0 else None
 
 
 def step_findings(sums: AllanSums, known: Statistics, without: set[int]) -> list[Finding]:
@@ -298,15 +458,18 @@ def step_findings(sums: AllanSums, known: Statistics, without: set[int]) -> list
     segment = Segment.of(known, longest, tau0)
     if segment is None:
         return []
+    first_period = recording.periods[0]
+    begin = first_period.begin * tau0 + (longest.start_ns - first_period.begin_ns) * 1e-9
     findings = []
     for i, axis in enumerate(sums.axes):
         steps = None if i in without else bias_steps(segment, i)
-        if steps is not None and steps.walk_after < STEPS_RATIO * steps.walk_before:
-            share = 1.0 - math.sqrt(steps.walk_after / steps.walk_before)
-            size = max(abs(s) for s in steps.sizes)
-            first_period = recording.periods[0]
-            begin = first_period.begin * tau0 + (longest.start_ns - first_period.begin_ns) * 1e-9
-            times = [duration_text(begin + (ns - longest.start_ns) * 1e-9) for ns in steps.ns]
-            times_text = ', '.join(times)
+        if steps is None:
+            continue
+        walk_before, walk_after = steps.before.p[K], steps.effects.fit.p[K]
+        if walk_after < STEPS_RATIO * walk_before:
+            share = 1.0 - math.sqrt(walk_after / walk_before)
+            size = float(np.abs(steps.effects.sizes).max())
+            times = [begin + (at + 1) * longest.step * tau0 for at in sorted(steps.at)]
+            times_text = ', '.join(map(duration_text, times))
             findings.append(finding('bias_steps', (axis,), size=size, share=share, at=times_text))
     return findings

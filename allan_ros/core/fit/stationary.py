@@ -16,9 +16,9 @@ from dataclasses import replace
 import numpy as np
 
 from ..allan.sums import AllanSums, part
-from ..findings import Finding, finding, quantity
-from ..imu import axes_of_sensors, sensor_of
-from .bias_changes import step_findings
+from ..findings import Finding, finding
+from ..imu import axes_of_sensors
+from .bias_changes import settling, settling_findings, step_findings
 from .innovations import innovation_levels
 from .methods import fit_likelihood, fit_noise
 from .period_levels import (
@@ -30,12 +30,7 @@ from .period_levels import (
     white_noise_levels,
 )
 from .result import NoiseModel, with_scatter
-from .settling import SensorSettling, settling
 from .statistics import statistics
-
-MOST_LEFT = 1.0
-"""Largest part of a settling that may be left at the end of a recording, relative to the Allan
-deviation of the noise at the time constant. If more is left, the sensor has not settled."""
 
 SHAKY_RATIO = 1.3
 """Largest ratio of the highest to the lowest N of the periods for which steps of the bias are
@@ -139,27 +134,6 @@ def _parts(sums: AllanSums, first: Sequence[int]) -> AllanSums:
     for further in parts[1:]:
         total = total + further
     return total
-
-
-# --- settling -------------------------------------------------------------------------------------
-
-
-def settling_findings(sums: AllanSums, found: Sequence[SensorSettling]) -> list[Finding]:
-    """Return one finding about each settling in ``found``."""
-    tau0 = sums.tau0 or 1.0
-    findings = []
-    for sensor_settling in found:
-        sizes = [abs(s) for size in sensor_settling.settling.sizes.values() for s in size.tolist()]
-        axes = tuple(sums.axes[a] for a in sensor_settling.axes)
-        size = quantity(max(sizes), sensor_of(axes[0]), 'signal')
-        time = sensor_settling.settling.time * tau0
-        if sensor_settling.left > MOST_LEFT:
-            longer = time * math.log(sensor_settling.left / MOST_LEFT)
-            needed = max(r.samples for r in sums.recordings) * tau0 + longer
-            findings.append(finding('not_settled', axes, size=size, time=time, how_long=needed))
-        else:
-            findings.append(finding('settling', axes, size=size, time=time))
-    return findings
 
 
 # --- findings about the level ---------------------------------------------------------------------

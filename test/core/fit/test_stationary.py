@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 
 from allan_ros.core.allan.running import RunningSums
 from allan_ros.core.allan.sums import AllanSums, part
-from allan_ros.core.fit.bias_changes import step_findings
+from allan_ros.core.fit.bias_changes import settling, step_findings
 from allan_ros.core.fit.period_levels import period_spectra, present_part, white_noise_levels
-from allan_ros.core.fit.settling import settling
 from allan_ros.core.fit.stationary import fit_stationary
 from allan_ros.core.fit.statistics import statistics
 from allan_ros.core.imu import AXES, from_datasheet
