@@ -98,7 +98,10 @@ class ResultSettings(CheckedSettings):
 
     @property
     def stated_margin(self) -> float | None:
-        """The margin if it is not the default; None if it is, so that results keep their margin."""
+        """The margin that the user chose; None if ``margin`` has its default value.
+
+        With None, results that are read from a file keep the margin that is stored in the file.
+        """
         return None if self.margin == MARGIN else self.margin
 
 

@@ -53,7 +53,7 @@ from .result_lines import findings_lines, results_lines
 EXITS = {
     EXIT_FAILED: 'with --fail-on: a finding of that or a higher severity, or an exceeded limit'
 }
-"""Exit codes that only `analyze` has."""
+"""Exit code of `analyze` that not all verbs have -> meaning of the code."""
 
 FAIL_ON = (
     Option(
@@ -120,7 +120,9 @@ def recordings_in(path: str, files_are_units: bool = False) -> list[str]:
 
     A folder is one recording if it has a metadata.yaml, or contains only one bag or its numbered
     parts. With ``files_are_units``, numbered files without metadata.yaml are separate recordings.
-    If a folder contains only folders of analyses, the paths of all these folders are returned.
+    If a folder contains only folders of analyses, the paths of all these folders are returned. A
+    folder that is itself the result of an analysis, or contains nothing to read, is returned as it
+    is, too. The paths are sorted, with the folders of bags before the files.
     """
     folder = Path(path)
     if not folder.is_dir() or (folder / METADATA).exists() or is_document(folder):
@@ -138,7 +140,8 @@ def recordings_in(path: str, files_are_units: bool = False) -> list[str]:
 def _is_one_bag(files: Sequence[Path], files_are_units: bool) -> bool:
     """Return whether the files are all parts of one bag without metadata.yaml.
 
-    Returns True if there are no files.
+    With ``files_are_units``, only a single file counts as one bag. Returns True if there are no
+    files.
     """
     if not all(file.suffix in STORAGES for file in files):
         return False
@@ -240,8 +243,8 @@ def _check_references(settings: ResultSettings) -> None:
 def show_results(recorded: RecordingSums, args: argparse.Namespace) -> int:
     """Fit the Allan sums of recordings, write the files to ``--output``, and print the results.
 
-    Returns the exit code: 3 if ``--fail-on`` applies, 1 if nothing could be computed or a requested
-    file was not written, else 0.
+    Returns the exit code: 3 if ``--fail-on`` applies, 1 if no coefficient could be computed or a
+    requested export file was not written, else 0.
     """
     console, settings = Console.of(args), settings_of(ResultSettings, args)
     results, names = fit_and_write(recorded, args, args.output)
@@ -287,7 +290,7 @@ def _read_all(
 
 
 def check(args: argparse.Namespace) -> int:
-    """Print the verdict on each unit (one IMU), and return the exit code of the worst unit."""
+    """Print the decision about each unit (one IMU), and return the worst exit code of the units."""
     _check_references(settings_of(ResultSettings, args))
     if args.plan:
         load_plan(args.plan)

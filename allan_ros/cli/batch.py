@@ -70,7 +70,7 @@ class Judged:
 
     @property
     def reason(self) -> str:
-        """The note and the reasons of the decision as one line."""
+        """The note about a duplicate, if any, and the reasons of the decision as one line."""
         return one_line(' '.join(filter(None, (self.note, *self.sentences))))
 
 
@@ -94,7 +94,7 @@ class Judge:
         self._known: dict[object, str] = {}
 
     def judged(self, outcome: Outcome) -> Judged:
-        """Return the decision about the next unit."""
+        """Return the decision about the next unit, given the outcome of its analysis."""
         results, units = outcome.results, self._args.units
         if results is None:
             decision = Decision(outcome.code)
@@ -105,7 +105,8 @@ class Judge:
         if fails(results, self._args.fail_on):
             decision = Decision.EXCEEDS
         elif note and decision is Decision.WITHIN:
-            decision = Decision.NOT_JUDGED  # one of the two units was probably not measured
+            # of two units with the same samples or serial number, one was probably not measured
+            decision = Decision.NOT_JUDGED
         word = DECISION_WORDS[decision]
         if not self._decides:
             word = VERDICT_WORDS[results.level].lower()
@@ -116,7 +117,7 @@ class Judge:
         """Return a text that names an earlier unit with the same samples or serial number, or ''.
 
         Samples count as the same if their number and all coefficients are equal. Samples are not
-        compared if no coefficient has a value.
+        compared if no coefficient has a value other than 0.
         """
         values = [c.value for axis in results.axes.values() for c in axis.fit.noise.values()]
         samples = (results.samples, *values) if any(values) else None
@@ -178,9 +179,10 @@ def unread_units(folder: str) -> list[Outcome]:
 def run_check(
     units: Sequence[BatchItem], args: argparse.Namespace, unread: Sequence[Outcome] = ()
 ) -> int:
-    """Print one line for each unit as soon as it is checked, and the totals.
+    """Print one line for each unit as soon as it is checked, then the totals of several units.
 
-    Returns the worst exit code of the units.
+    If the command line states a folder for the output, the files of each unit and a summary of all
+    units are written, too. Returns the worst exit code of the units.
 
     Parameters
     ----------
@@ -194,7 +196,8 @@ def run_check(
     Raises
     ------
     AllanError
-        When the only unit cannot be read.
+        When the test plan is invalid, or the summary cannot be written. Also when the only unit
+        cannot be read, unless the output is JSON.
     """
     console, judged_units = Console.of(args), []
     plan = load_plan(args.plan) if args.plan else None
@@ -248,7 +251,10 @@ def _total(word: str, names: Sequence[str]) -> str:
 
 
 def _print_unit(unit: Judged, args: argparse.Namespace) -> None:
-    """Print name, serial number, reasons and N of a unit as one line."""
+    """Print the verdict, name, serial number, reasons and N of a unit as one line.
+
+    For a unit without results, the line contains the verdict and the error.
+    """
     text = unit.reason
     if unit.outcome.results is not None:
         serial = f', serial {unit.serial}' if unit.serial else ''
@@ -346,7 +352,10 @@ def _check_document(judged: Judged) -> dict[str, Any]:
 
 
 def _limit_document(check: Check, limits: Limits) -> dict[str, Any]:
-    """Return a quantity, its limits and the verdict as a JSON object, in the unit of the plan."""
+    """Return a quantity, its limits and the verdict as a JSON object.
+
+    The numbers are in the unit of measurement that the plan states for the quantity.
+    """
     measured = check.measured.times(1.0 / limits.scale)
     lower, upper = (
         None if end is None else end / limits.scale for end in (limits.lower, limits.upper)

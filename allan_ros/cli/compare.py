@@ -70,7 +70,7 @@ def _show(console: Console, text: str, document: Mapping[str, Any]) -> None:
 
 
 def _common(args: argparse.Namespace, console: Console) -> int:
-    """Print the noise that several IMUs have in common; return the exit code."""
+    """Print how much noise several IMUs have in common; return the exit code."""
     default = ResultSettings()
     has_test = args.within or args.fail_on_difference or args.margin != default.margin
     if has_test or args.method != default.method:

@@ -34,8 +34,9 @@ shown."""
 class Progress:
     """A progress bar on stderr with the remaining time.
 
-    Nothing is shown if stderr is not a terminal, or if ``shown`` is False. ``total`` is the number
-    of samples or recordings to process; None if it is unknown.
+    Nothing is shown if stderr is not a terminal, if the package rich is not installed, or if
+    ``shown`` is False. ``total`` is the number of samples or recordings to process; None if it is
+    unknown, in which case only the number of processed samples or recordings is shown.
     """
 
     def __init__(self, label: str, total: int | None, shown: bool = True) -> None:
@@ -184,7 +185,7 @@ def wrapped(text: str, columns: int, indent: str = '') -> list[str]:
 
 
 def fault_text(error: Exception) -> str:
-    """Return a text about an unexpected error and where it occurred, for a bug report."""
+    """Return a text about an unexpected error and the lines where it occurred, for a bug report."""
     package = Path(__file__).parents[1]
     frames = traceback.extract_tb(error.__traceback__)
     own_frames = [frame for frame in frames if package in Path(frame.filename).parents]

@@ -131,10 +131,11 @@ def sensors(args: argparse.Namespace) -> int:
 
 
 def list_lines(sheets: Mapping[str, Datasheet], columns: int) -> Iterator[str]:
-    """Yield the lines of a table of datasheets with the largest limits of N and B of each sensor.
+    """Yield the lines of a table of datasheets, and of the explanations below the table.
 
-    ``sheets`` maps names to datasheets. ``columns`` is the width of the text in characters; table
-    columns that do not fit are omitted.
+    The table contains the limits of N and B of the gyro and the accelerometer; if the axes differ,
+    the largest limit is shown. ``sheets`` maps names to datasheets. ``columns`` is the width of the
+    text in characters; columns of the table that do not fit are omitted.
     """
     rows = [list(HEADERS)]
     for name, sheet in sheets.items():
@@ -165,7 +166,7 @@ def list_lines(sheets: Mapping[str, Datasheet], columns: int) -> Iterator[str]:
 def sensor_lines(sheet: Datasheet, columns: int) -> Iterator[str]:
     """Yield the lines of one datasheet: figures, limits in datasheet units and SI, and sources.
 
-    ``columns`` is the width of the text.
+    ``columns`` is the width of the text in characters.
     """
     yield f'{sheet.name}{f" ({sheet.maker})" if sheet.maker else ""}'
     if sheet.carries:

@@ -125,7 +125,7 @@ class AllanParser(argparse.ArgumentParser):
 
 
 class HelpFormatter(argparse.HelpFormatter):
-    """Help formatter that wraps the paragraphs of a description, but not its indented lines."""
+    """Help formatter that wraps a paragraph of the description unless it has an indented line."""
 
     def __init__(self, prog: str, **given: Any) -> None:
         super().__init__(prog, **{**given, 'max_help_position': HELP_COLUMN})
@@ -188,7 +188,8 @@ def _exits_text(exits: dict[int, str]) -> str:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one verb and return the exit code; errors become one line on stderr.
 
-    ``argv`` are the words after the name of the program, by default from ``sys.argv``.
+    ``argv`` are the words after the name of the program, by default from ``sys.argv``. Raises
+    SystemExit for an unknown or invalid argument, and after ``--help`` or ``--version``.
     """
     words = list(sys.argv[1:] if argv is None else argv)
     name = f'allan {words[0]}' if words and words[0] in VERBS else 'allan'

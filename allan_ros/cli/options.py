@@ -139,10 +139,11 @@ def add_settings(
     kind: type[Any],
     without: Collection[str] = (),
 ) -> None:
-    """Add a group with an option for every field of a settings class.
+    """Add a group with an option for every field of a settings class that has a help text.
 
-    A field ``max_bridge`` becomes the option ``--max-bridge``. A field that is True by default
-    becomes a switch ``--no-...``. The value for a tuple is a list of words separated by commas.
+    A field ``max_bridge`` becomes the option ``--max-bridge``. A boolean field becomes a switch:
+    ``--no-NAME`` if it is True by default, else ``--NAME``. The value for a tuple is a list of
+    words separated by commas.
 
     Parameters
     ----------

@@ -68,7 +68,8 @@ class Outcome:
 def outcomes_of(units: Sequence[BatchItem], args: argparse.Namespace) -> Iterator[Outcome]:
     """Yield the outcome of each unit, in the order of the units.
 
-    The units are analyzed in this process, in several processes, or on a cluster.
+    The units are analyzed in this process, in several processes, or on a cluster. Raises AllanError
+    if the cluster cannot be used.
     """
     if getattr(args, 'scheduler', None):
         recorded_units = on_cluster(
@@ -93,6 +94,8 @@ def outcome_of(
     recorded: RecordingSums | Finding | Exception | None = None,
 ) -> Outcome:
     """Read and fit one unit, write its files if a folder is given, and return the outcome.
+
+    An error during the analysis is returned in the outcome, and not raised.
 
     Parameters
     ----------
@@ -159,7 +162,8 @@ def fit_and_write(
     Raises
     ------
     AllanError
-        When there are too few data, or a file cannot be written.
+        When there are too few data, a datasheet or an earlier run cannot be read, the folder has
+        results of another recording, or a file cannot be written.
     """
     settings = settings_of(ResultSettings, args)
     rest_results = load(settings.noise) if settings.noise else None
@@ -182,7 +186,10 @@ def fit_and_write(
 
 
 def split_by_topic(jobs: Sequence[ReadJob]) -> list[ReadJob]:
-    """Replace each job for a bag without a selected topic by one job for each Imu topic."""
+    """Replace each job for a bag with several Imu topics by one job for each of these topics.
+
+    A job for which a topic is selected is kept.
+    """
     separate_jobs = []
     for job in jobs:
         chosen_topic = job.reading.topic or job.reading.accel_topic
@@ -193,7 +200,10 @@ def split_by_topic(jobs: Sequence[ReadJob]) -> list[ReadJob]:
 
 
 def names_of(jobs: Sequence[ReadJob]) -> list[str]:
-    """Return a unique name for each job: the file name, with its topic or a number if needed."""
+    """Return a unique name for each job: the file name, with its topic or a number if needed.
+
+    The folders that are named after the jobs (`folder_name`) are also unique.
+    """
     names: list[str] = []
     for job in jobs:
         path_repeats = sum(other.path == job.path for other in jobs) > 1
@@ -207,7 +217,7 @@ def names_of(jobs: Sequence[ReadJob]) -> list[str]:
 
 
 def folder_name(name: str) -> str:
-    """Return a name in which _ replaces all characters but letters, digits, +, - and _."""
+    """Return a name of letters, digits, +, - and _; each run of other characters becomes one _."""
     return re.sub(r'[^\w+-]+', '_', name)
 
 

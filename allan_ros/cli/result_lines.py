@@ -50,14 +50,16 @@ HEADLINES: dict[Judgement | None, str] = {
     'exceeds': 'a limit is exceeded',
     None: 'it states no limit for the measured terms',
 }
-"""Worst verdict of the comparisons with a datasheet -> text about this verdict."""
+"""Worst verdict of the comparisons with a datasheet, or None without comparisons -> text that is
+shown for it."""
 
 
 def datasheet_lines(results: Results, units: str, columns: int) -> Iterator[str]:
     """Yield the lines of a comparison with a datasheet: a headline, then one entry for each limit.
 
-    ``units`` is 'deg/h' or 'SI', and ``columns`` is the width of the text. Without a datasheet,
-    there are no lines.
+    An entry is for all axes of a sensor that have the same limit of a term. ``units`` is 'deg/h' or
+    'SI', and ``columns`` is the width of the text in characters. Without a datasheet, there are no
+    lines.
     """
     sheet, checks = results.datasheet, results.datasheet_checks
     if sheet is None:
@@ -66,7 +68,6 @@ def datasheet_lines(results: Results, units: str, columns: int) -> Iterator[str]
     headline = f'compared with the datasheet of {sheet.name}: {summary}'
     yield from wrapped(headline, columns, '  ')
     groups: dict[tuple[str, str, float], list[Check]] = {}
-    # one group contains the axes of a sensor that have the same limit of a term
     for c in checks:
         groups.setdefault((sensor_of(c.axis), c.quantity, c.limit), []).append(c)
     for group in groups.values():
@@ -103,8 +104,9 @@ def results_lines(
 ) -> Iterator[str]:
     """Yield the results as lines of text.
 
-    The lines contain the verdict, the coefficients, the numbers for a state estimator, the
-    comparison with a datasheet, the findings, and the next steps.
+    The lines contain the verdict, the coefficients, the bias over temperature, the numbers for a
+    state estimator, the comparison with a datasheet, the findings, and the next steps. Parts that
+    are not known are omitted.
 
     Parameters
     ----------
@@ -115,7 +117,7 @@ def results_lines(
     units : str
         'deg/h' or 'SI'.
     columns : int
-        Width of the text.
+        Width of the text in characters.
     colors : bool
         Whether the text contains ANSI colors.
     complete : bool
@@ -158,7 +160,7 @@ def _has_numbers(results: Results, axis: str) -> bool:
 
 
 def verdict_lines(verdict: Verdict, columns: int, colors: bool = False) -> list[str]:
-    """Return the lines of the level and the summary of a verdict, wrapped to ``columns``."""
+    """Return the level and the summary of a verdict as lines, wrapped to ``columns`` characters."""
     word = VERDICT_WORDS[verdict.level].lower()
     lines = wrapped(f'{word}: {verdict.summary}', columns, '  ')
     return [painted(lines[0], word, LEVEL_COLORS[verdict.level], colors), *lines[1:]]
@@ -176,7 +178,7 @@ def findings_lines(
     units : str
         'deg/h' or 'SI'.
     columns : int
-        Width of the text.
+        Width of the text in characters.
     colors : bool
         Whether the text contains ANSI colors.
     complete : bool

@@ -41,10 +41,11 @@ class ImuWatch(NodePart):
     """Accumulates the Allan sums of one IMU; a restarted node continues the sums in the checkpoint.
 
     ``output`` publishes the sums periodically, for each new subscriber, and when the sums are
-    saved, reset or replaced, or the frame_id, axes or faults of the input change. ``sensor`` is the
-    only sensor that is used, or '' for both sensors. ``accel`` is the `ImuWatch` of an
-    accelerometer with its own topic. If it is given, ``output`` publishes the sums of both sensors
-    whenever the sums of one sensor are due, and the services reset or save the sums of both.
+    saved, reset or replaced, the first means at rest are known, or the frame_id, axes or faults of
+    the input change. ``sensor`` is the only sensor that is used, or '' for both sensors. ``accel``
+    is the `ImuWatch` of an accelerometer with its own topic. If it is given, ``output`` publishes
+    the sums of both sensors whenever the sums of one sensor are due, and the services reset or save
+    the sums of both.
     """
 
     def __init__(
@@ -92,7 +93,7 @@ class ImuWatch(NodePart):
         return f'{self._input.topic}{name} ({self._input.qos}; checkpoint {checkpoint})'
 
     def tick(self, now: float) -> None:
-        """Run the tasks that are due."""
+        """Run the tasks that are due; ``now`` is the time of the monotonic clock in s."""
         self._monitor.set_received(now, self._input.received)
         if self._update_due.due(now):
             self._update()
@@ -111,7 +112,7 @@ class ImuWatch(NodePart):
             self._checkpoint.save_in_background(self._total())
 
     def statuses(self, now: float) -> list[DiagnosticStatus]:
-        """Return the status of the input."""
+        """Return the status of the input; also publish the sums if the input has changed."""
         self._update()
         self._checkpoint.tick()
         health, stream_findings = self._health_and_findings()
@@ -145,7 +146,8 @@ class ImuWatch(NodePart):
             self._faults = *self._faults, finding('moving_now')
         if self._state() != self.output.state:
             self._publish(self._total())
-        # findings about the present input replace findings about the whole stream with these ids
+        # A finding about the whole stream is not shown if a finding about the present input has the
+        # same id.
         live_ids = {*LIVE, 'gaps', *(f.id for f in input_findings)}
         stamp_age = None
         if self._last_stamp_ns is not None:
@@ -235,7 +237,7 @@ class ImuWatch(NodePart):
         self._events = ()
 
     def _update(self) -> None:
-        """Accumulate the fetched messages."""
+        """Add the fetched messages to the Allan sums."""
         for batch in self._input.batches():
             self._accumulate(batch)
 
@@ -253,7 +255,7 @@ class ImuWatch(NodePart):
     # --- output of Allan sums ---------------------------------------------------------------------
 
     def _total(self) -> Total:
-        """Return sums and provenance of all samples, also from earlier runs of the node."""
+        """Return the sums and the provenance of all samples, also from earlier runs of the node."""
         if self._outdated:
             self._result, self._outdated = self._stream.result(), False
         result, name = self._result, self._node.get_fully_qualified_name()
@@ -350,9 +352,12 @@ def watched_imus(node: AllanNode) -> list[WatchedImu]:
 
 
 def _events(health: StreamHealth) -> tuple[object, ...]:
-    """Return values that change after an event: a motion, a gap, or a new frame_id."""
-    c = health.counts
-    has_used_samples, splits = c.used > 0, sum(c.splits.values())
+    """Return values that change after an event, such as a motion, a gap, or a new frame_id.
+
+    Other events are a change of the noise, discarded sums, and the first used sample.
+    """
+    counts = health.counts
+    has_used_samples, splits = counts.used > 0, sum(counts.splits.values())
     return (
         health.state,
         health.discarded,

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Makes the statuses of inputs and axes for `/diagnostics`, and writes them for Prometheus."""
+"""Makes the statuses of inputs and axes for `/diagnostics`, and their text for Prometheus."""
 
 from __future__ import annotations
 
@@ -41,9 +41,9 @@ NUMBER_TEXT = r'[-+]?\d+(\.\d*)?(e[-+]?\d+)?'
 """Pattern of a number. Only values of a status that match this pattern are written as metrics."""
 
 FINDING = 'finding'
-"""Key in a status; the value is the id of the finding in the message of the status, or 'none'. The
-text of each finding is under the key ``finding: <id>``. This text begins with 'now' or 'earlier',
-or states when the event happened."""
+"""Key in a status. The value is the id of the finding in the message of the status, or 'none'. The
+key ``finding: <id>`` has the text of a finding as its value. This text begins with 'now' or
+'earlier', or states when an event happened."""
 
 
 def status_name(node: Node, *words: str) -> str:
@@ -115,12 +115,12 @@ def status_of(
     noted: Sequence[Finding] = (),
     hardware_id: str = '',
 ) -> DiagnosticStatus:
-    """Return a status with the level of its most severe finding.
+    """Return a status with the level of the most severe finding in ``findings``.
 
     The message of the status is the first warning or error in ``findings``, followed by the ids of
     the others; without warnings and errors, it is ``otherwise``. The values of the status are the
-    id of the finding in the message, ``pairs``, and the text of each finding. Findings in ``noted``
-    are marked as 'earlier', and change neither level nor message.
+    id of the finding in the message, ``pairs``, and the text of each finding in ``findings`` and
+    ``noted``. Findings in ``noted`` are marked as 'earlier', and change neither level nor message.
     """
     # a finding about an event already states when the event happened
     marked_findings = [(f, '' if f.values.get('when') else 'now: ') for f in findings]
@@ -162,37 +162,38 @@ def input_status(
     the number of different sample rates of gyro and accelerometer. ``others`` are (key, value)
     pairs that are added to the status.
     """
-    c, r = health.counts, statistics
+    counts = health.counts
     excluded_counts = {
-        'moving': c.moving,
-        'noise increased': c.noise_increased,
-        'noise decreased': c.noise_decreased,
-        'stuck': c.stuck,
-        'not finite': c.not_finite,
-        'duplicate': c.duplicate,
-        'stamped backward': c.backward,
-        'without a time': c.untimed,
-        'skipped': c.skipped,
-        'of another frame_id': c.other_frame,
+        'moving': counts.moving,
+        'noise increased': counts.noise_increased,
+        'noise decreased': counts.noise_decreased,
+        'stuck': counts.stuck,
+        'not finite': counts.not_finite,
+        'duplicate': counts.duplicate,
+        'stamped backward': counts.backward,
+        'without a time': counts.untimed,
+        'skipped': counts.skipped,
+        'of another frame_id': counts.other_frame,
     }
     # With two sample rates, most counts are totals over both sensors, but the number of received
     # messages is not.
-    undecided_samples = c.received + c.interpolated - c.used - sum(excluded_counts.values())
+    known_samples = counts.used + sum(excluded_counts.values())
+    undecided_samples = counts.received + counts.interpolated - known_samples
     pairs: list[tuple[str, object]] = [
         ('state', health.state),
         ('rate [Hz]', health.rate_hz),
         ('static data [s]', static_s),
         ('share at rest', health.still_share),
-        ('received [messages]', r.received),
-        ('sent before the first came [messages]', r.sent_before),
-        ('lost on the way [messages]', r.lost),
-        ('malformed [messages]', r.malformed),
-        ('used [samples]', c.used),
-        ('missing by the stamps [samples]', c.lost),
-        ('interpolated [samples]', c.interpolated),
+        ('received [messages]', statistics.received),
+        ('sent before the first came [messages]', statistics.sent_before),
+        ('lost on the way [messages]', statistics.lost),
+        ('malformed [messages]', statistics.malformed),
+        ('used [samples]', counts.used),
+        ('missing by the stamps [samples]', counts.lost),
+        ('interpolated [samples]', counts.interpolated),
         *((f'{reason} [samples]', count) for reason, count in excluded_counts.items()),
         ('undecided [samples]', undecided_samples if streams == 1 else None),
-        *((f'splits by {reason}', count) for reason, count in sorted(c.splits.items())),
+        *((f'splits by {reason}', count) for reason, count in sorted(counts.splits.items())),
         ('publishers of incompatible QoS', sum(f.id == 'qos_incompatible' for f in findings)),
         ('stamps used', health.stamps),
         *others,
@@ -245,7 +246,10 @@ class AxisView:
 
 
 def axis_status(name: str, hardware_id: str, view: AxisView) -> DiagnosticStatus:
-    """Return the status of one axis."""
+    """Return the status of one axis.
+
+    Its level follows from the problems, a change of the noise level, and exceeded limits.
+    """
     changes = [*_change_findings(view), *_limit_findings(view)]
     findings = by_consequence([*view.problems, *changes])
     static_s = view.sums.elapsed_ns * 1e-9 if view.sums else 0.0
@@ -274,7 +278,11 @@ def axis_status(name: str, hardware_id: str, view: AxisView) -> DiagnosticStatus
 
 
 def _term_pairs(axis: str, term: str, c: Estimate) -> list[tuple[str, object]]:
-    """Return the pairs for a term: value in SI and datasheet units, 95 % interval, and status."""
+    """Return the (key, value) pairs of a term for the status of an axis.
+
+    The pairs are the value in SI and in datasheet units, the ends of the 95 % interval in datasheet
+    units (only the upper limit if the term is not resolved), and the status of the term.
+    """
     si_unit, datasheet_unit = shown_unit(axis, term, 'SI'), shown_unit(axis, term, 'deg/h')
     pairs: list[tuple[str, object]] = [
         (f'{term} [{u.name}]', value_text(c, u)) for u in (si_unit, datasheet_unit)
@@ -322,7 +330,7 @@ def _change_findings(view: AxisView) -> list[Finding]:
 def _dominant_term(view: AxisView, tau: float) -> str:
     """Return the name of the part of the model with the largest Allan deviation at ``tau`` in s.
 
-    The name is '' if there is no model.
+    The name is '' before the first static data and before the first fit.
     """
     if view.result is None or view.sums is None or not view.sums.tau0:
         return ''
@@ -331,7 +339,10 @@ def _dominant_term(view: AxisView, tau: float) -> str:
 
 
 def _summary(view: AxisView, static_s: float, next_term: str) -> str:
-    """Return the coefficients in datasheet units, and the coefficients that need more data."""
+    """Return N, B and K in datasheet units, and which coefficients need more data, as text.
+
+    Without coefficients, the text states that there are none yet.
+    """
     if view.sums is None:
         return 'no coefficients yet: no static data so far; keep the IMU at rest for a minute'
     static_text = f'from {duration_text(static_s, 3)} of static data'
@@ -348,12 +359,12 @@ def _summary(view: AxisView, static_s: float, next_term: str) -> str:
 
 
 def _next_term(view: AxisView) -> str:
-    """Return text such as 'B and K need 2 h at rest'; '' if all relevant terms are resolved.
+    """Return a text such as 'B and K need 2 h at rest'; '' if more data are not useful.
 
     The text is also '' before the first fit, and for other methods than 'likelihood'.
     """
     if view.result is None or view.method != 'likelihood':
-        return ''  # the required time is predicted only for the method likelihood
+        return ''
     limits = {c.quantity: c.limit for c in view.comparisons if c.tau is None}
     recordings = view.sums.recordings if view.sums else ()
     most_samples = max((m.samples for r in recordings for m in r.means), default=0)

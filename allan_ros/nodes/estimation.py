@@ -116,7 +116,7 @@ class ImuEstimate(NodePart):
         node.create_service(Trigger, f'{home}fit', self._on_fit)
 
     def process(self, snapshot: Snapshot) -> None:
-        """Process a new snapshot; fit its sums if they have grown enough or were replaced."""
+        """Process a new snapshot; start a fit if the sums have grown enough or were replaced."""
         self._snapshot = snapshot
         former_faults, self._faults = self._faults, snapshot.faults
         lost = replaced_share(self._fitted, snapshot.sums)
@@ -133,7 +133,10 @@ class ImuEstimate(NodePart):
         self._fit_if_due()
 
     def tick(self, now: float) -> None:
-        """Publish the result of a finished fit; if its sums were replaced, fit again instead."""
+        """Publish the results of a finished fit, or report the error with which it failed.
+
+        If the sums have been replaced while they were fitted, start a new fit instead.
+        """
         if self._fitting is None or not self._fitting.done():
             return
         fitting, self._fitting = self._fitting, None
@@ -216,7 +219,7 @@ class ImuEstimate(NodePart):
     # --- fitting ----------------------------------------------------------------------------------
 
     def _fit_if_due(self) -> None:
-        """Start a fit if the sums have changed enough and the last fit was long enough ago.
+        """Start a fit if the sums have changed enough, no fit is running, and the pause has ended.
 
         If the sums have not changed enough, but there are new drives, only the factors in motion
         are computed.
@@ -262,7 +265,10 @@ class ImuEstimate(NodePart):
         self._node.get_logger().error(str(self._failed), throttle_duration_sec=60.0)
 
     def _invalidate(self, lost: float, cause: str) -> None:
-        """Invalidate the noise model; ``lost`` is the share of its samples that was removed."""
+        """Invalidate the noise model, if there is one.
+
+        ``lost`` is the share of its samples that was removed, and ``cause`` states why.
+        """
         self._outdated = self._fitting is not None
         self._fitted, self._failed, self._next_fit = (), None, 0.0
         results, self._results = self._results, None

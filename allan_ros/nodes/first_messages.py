@@ -23,8 +23,9 @@ class FirstMessages:
 
     ``rate_hz`` is the largest sample rate in Hz, according to the stamps, in any period of at least
     `RATE_S`; before the end of the first period, it is `FIRST_RATE_HZ`. ``bias`` is gyro axis ->
-    mean angular rate in rad/s with its standard error, updated every `RATE_S`. While the IMU is at
-    rest, the mean is the bias. If the IMU turns, a covariance that covers the mean is too large.
+    mean of all processed angular rates in rad/s with its standard error, updated at the start of
+    each period. While the IMU is at rest, the mean is the bias. If the IMU turns, a covariance that
+    covers the mean is too large.
     """
 
     def __init__(self) -> None:
@@ -38,7 +39,10 @@ class FirstMessages:
         self._number, self._total, self._squares = 0, np.zeros(3), np.zeros(3)
 
     def update(self, count: int, latest: bytes | None) -> None:
-        """Process the latest message; ``count`` is the number of messages received so far."""
+        """Process the latest message, which is None before the first message.
+
+        ``count`` is the number of messages received so far. A malformed message is ignored.
+        """
         if latest is None or count == self._count:
             return
         self._count = count

@@ -39,7 +39,8 @@ MOST_REQUESTS, REQUEST_S = 16, 10.0
 its client. The server closes the connections of further requests and of slower requests."""
 
 STALE_SUMS_S = 60.0
-"""Age in s from which Allan sums are shown as out of date; nodes publish them about every 10 s."""
+"""Allan sums older than this time in s are shown as out of date. By default, nodes publish them
+every 10 s."""
 
 
 class _Server(ThreadingHTTPServer):
@@ -59,7 +60,7 @@ class _Server(ThreadingHTTPServer):
             self.shutdown_request(request)
 
     def process_request_thread(self, request: Any, client_address: Any) -> None:
-        """Answer a request, and then permit another one."""
+        """Answer a request, and then permit a further request."""
         try:
             super().process_request_thread(request, client_address)
         finally:
@@ -177,8 +178,9 @@ def _handler_of(page: LivePage) -> type[BaseHTTPRequestHandler]:
         timeout = REQUEST_S  # for each socket operation; a client may send only half a request
 
         def do_GET(self) -> None:
-            # Otherwise, a web page of another site could read the report through a host name that
-            # resolves to this machine (DNS rebinding).
+            # Requests for other host names are rejected. Otherwise, a web page of another site
+            # could read the report through a host name that resolves to this machine (DNS
+            # rebinding).
             if self.headers.get('Host', '').rsplit(':', 1)[0] not in (HOST, 'localhost'):
                 self.send_error(403)
                 return

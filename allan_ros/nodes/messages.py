@@ -71,9 +71,9 @@ class Snapshot:
 
     @property
     def sums(self) -> tuple[AllanSums, ...]:
-        """One `AllanSums` with all axes, or one per sensor if their rates or topics differ.
+        """A tuple with one `AllanSums` of all axes, or one per sensor if rates or topics differ.
 
-        It is empty before the first static data.
+        The tuple is empty before the first static data.
         """
         return self.total[0]
 
@@ -111,7 +111,7 @@ class Snapshot:
 
     @classmethod
     def from_json(cls, text: str) -> Snapshot:
-        """Return the snapshot in a message on ``~/sums``; raise AllanError if it is invalid."""
+        """Return the snapshot in a JSON text; raise AllanError if the text is invalid."""
         document = parse_json(text, 'sums')
         total = sums_file_from_document(document, 'sums')
         fields = Fields(document, 'sums')
@@ -214,7 +214,8 @@ def kinds_of(faults: Iterable[Finding]) -> frozenset[tuple[str, tuple[str, ...],
     """Return the kinds of the findings ``faults`` about the present samples.
 
     When the kinds change, the Allan sums are published at once. A kind consists of the id, the
-    axes, and the ratio of the noise to earlier noise, rounded to a power of 1.19.
+    axes, and the ratio of the noise to earlier noise (1 if the finding has no ratio), rounded to a
+    power of 2^(1/4).
     """
     ratios = ((f, float(f.values.get('ratio') or 1.0)) for f in faults)
     return frozenset((f.id, f.axes, round(4.0 * math.log2(ratio))) for f, ratio in ratios)
@@ -238,7 +239,7 @@ class BiasPublisher:
         self._turn_on: dict[str, TurnOnBias] = {}
 
     def update(self, snapshot: Snapshot) -> None:
-        """Update the biases with the means in a snapshot; publish them if a mean is new."""
+        """Update the biases with the means in a snapshot; publish known biases if a mean is new."""
         for means in snapshot.means:
             for i, axis in enumerate(means.axes):
                 self._tracker.add_means(axis, means.end_ns.tolist(), means.values[:, i].tolist())
@@ -302,7 +303,7 @@ def bias_message(
 
 
 def bias_of(message: TwistWithCovarianceStamped) -> dict[str, Estimate]:
-    """Return axis -> bias in SI, read from a message that `bias_message` has made."""
+    """Return axis -> bias in SI from a message of `bias_message`, for each axis with a bias."""
     twist, biases = message.twist.twist, {}
     for axis, row in TWIST_ROWS.items():
         sensor, letter = axis.split('_')

@@ -250,16 +250,16 @@ class ParameterPush(NodePart):
         return False
 
     def _read(self, names: Sequence[str]) -> list[Any]:
-        """Request the present value of each parameter with a separate request.
+        """Request the present value of each parameter; return a future for each parameter.
 
-        If a request names several parameters, and one of them is not declared, a node returns no
-        value at all.
+        Each parameter has a separate request: if a request names several parameters, and one of
+        them is not declared, a node returns no value at all.
         """
         requests = (GetParameters.Request(names=[name]) for name in names)
         return [self._get.call_async(request) for request in requests]
 
     def _write(self, values: Mapping[str, Numbers]) -> list[Any]:
-        """Send a request that sets parameters."""
+        """Send one request that sets all parameters in ``values``; return its future in a list."""
         messages = [_message(name, numbers) for name, numbers in values.items()]
         return [self._set.call_async(SetParameters.Request(parameters=messages))]
 

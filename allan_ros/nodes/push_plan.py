@@ -23,9 +23,9 @@ cover the errors of the gyro in motion. Without a factor in motion, the gain is 
 but not set."""
 
 RAISED = 2.0
-"""A gain in a node is raised if the gain that covers the errors of the gyro in motion exceeds it by
-this factor. A gain is never lowered: a large gain may be needed for other reasons, such as fast
-convergence, and a lower gain makes the tilt worse at rest."""
+"""A gain in a node is raised if the gain that covers the errors of the gyro in motion is more than
+this number of times as large. A gain is never lowered: a large gain may be needed for other
+reasons, such as fast convergence, and a lower gain makes the tilt worse at rest."""
 
 PUSHED_TARGETS = (*GAINS, 'kalibr', 'fast_lio')
 """Export targets that ``push.filter`` may name: gains, densities N and K (kalibr), and N^2 f and
@@ -39,7 +39,7 @@ GAINS_WAIT = (
 """Message of the status while no gain can be set: what is missing, and what to do."""
 
 CHANGE = 0.1
-"""Fraction by which a value must have changed before it is set again."""
+"""A value is set again only if it has changed by more than this fraction."""
 
 Numbers = tuple[float, ...]
 """Value of a parameter: one number for a double, several numbers for an array of doubles."""

@@ -81,7 +81,8 @@ RECEIVED, FILLED, PASSED, MALFORMED, UNPUBLISHED = COUNTS = (
 def relay_variances(results: Results, settings: RelaySettings, rate: float) -> dict[str, Variances]:
     """Return sensor -> variances of one sample of x, y and z, in (rad/s)^2 or (m/s^2)^2.
 
-    ``rate`` is the sample rate in Hz. The variances do not cover the bias.
+    ``rate`` is the sample rate in Hz. The variances do not cover the bias. A sensor is absent if
+    the variance of one of its axes is unknown.
     """
     fits = {name: axis.fit for name, axis in results.axes.items()}
     return white_variances(fits, rate, settings.inflate, settings.horizon)

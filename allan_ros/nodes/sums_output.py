@@ -58,8 +58,8 @@ class SumsOutput:
     def put(self, snapshot: Snapshot, state: object, accel: Snapshot | None) -> None:
         """Publish a snapshot, extended by the snapshot ``accel`` of a separate accelerometer.
 
-        ``state`` is the state of the input at this snapshot. A JSON document is written only if
-        there is a subscriber.
+        ``state`` is the state of the input at this snapshot. Listeners always receive the snapshot;
+        a message is made and published only if the topic has a subscriber.
         """
         self.latest, self.state = snapshot, state
         united = snapshot if accel is None else snapshot.with_accel(accel)

@@ -81,7 +81,8 @@ STYLES = {'ERROR': 'bold reverse', 'STALE': 'bold magenta', 'WARN': 'black on ye
 because a node that stopped publishing may have an error. The styles also differ without color."""
 
 STALE_S = 5.0
-"""Age in s from which a status is shown as stale; nodes publish each status once a second."""
+"""A status older than this time in s is shown as stale. By default, nodes publish each status every
+second."""
 
 
 @dataclass(frozen=True)
@@ -122,7 +123,10 @@ def most_severe_first(rows: Iterable[StatusRow]) -> list[StatusRow]:
 
 
 def headline(rows: Sequence[StatusRow]) -> str:
-    """Return a line with the number of statuses per level, and the age of the latest status."""
+    """Return a line with the number of statuses per level, and the age of the latest status.
+
+    Raises ValueError if there are no rows.
+    """
     counts = {level: sum(r.level == level for r in rows) for level in STYLES}
     numbers = ', '.join(f'{count} {level}' for level, count in counts.items() if count)
     return f'allan_ros: {numbers}; last message {min(r.age_s for r in rows):.1f} s ago'
@@ -134,7 +138,7 @@ def plain_line(row: StatusRow) -> str:
 
 
 def picture(rows: Sequence[StatusRow]) -> RenderableType:
-    """Return the statuses as a table of the package rich."""
+    """Return the statuses as a table of the package rich; raise ValueError if there are no rows."""
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
     from rich.text import Text
@@ -365,7 +369,11 @@ def make_parser() -> argparse.ArgumentParser:
 
 
 def main(args: Sequence[str] | None = None) -> int:
-    """Run `allan_watch`."""
+    """Run `allan_watch` and return the exit code.
+
+    The code is 0 if the program that reads the output has ended. Raises SystemExit if an option of
+    the command line is invalid.
+    """
     nodes: list[Watch] = []
 
     def make(stop: threading.Event, options: argparse.Namespace) -> Watch:

@@ -25,7 +25,7 @@ from ..version import __version__
 from .table import Cell, Heading, Record, Table, csv_text, html_table
 
 SUMMARY, INDEX = 'summary.csv', 'index.html'
-"""Names of the files of the summary, which lie beside the folders of the IMUs."""
+"""Names of the summary files, which are in the folder that contains the folders of the IMUs."""
 
 SUMMARY_TERMS = ('N', 'B', 'K')
 """Coefficients that the summary states for each axis, whether or not the plan limits them."""
@@ -37,8 +37,10 @@ class UnitRow:
 
     Attributes
     ----------
-    name, serial : str
-        Name of the IMU in the batch, and its serial number; '' if unknown.
+    name : str
+        Name of the IMU in the batch.
+    serial : str
+        Serial number of the IMU; '' if unknown.
     word : str
         The decision or verdict, such as 'healthy'.
     reason : str
@@ -50,7 +52,7 @@ class UnitRow:
     report : str
         Path of the report, relative to the summary; '' if there is none.
     exit_code : int
-        Exit code of the decision about this IMU.
+        Exit code that the command would have for this IMU alone.
     """
 
     name: str
@@ -67,9 +69,10 @@ def summary_csv(rows: Sequence[UnitRow], units: str) -> str:
     """Return a CSV table with one row for each IMU.
 
     Each quantity has columns for its value, its interval and its limits, such as
-    ``gyro_x N [deg/sqrt(h)]``, ``gyro_x N upper limit [deg/sqrt(h)]``. Columns that are empty for
-    all IMUs are omitted. ``units`` is 'deg/h' or 'SI'. Quantities with limits are in the units of
-    measurement that the plan states.
+    ``gyro_x N [deg/sqrt(h)]``, ``gyro_x N upper limit [deg/sqrt(h)]``. If a quantity is not
+    resolved, the column of the value is empty, and ``high95`` is its 95 % upper limit. Columns that
+    are empty for all IMUs are omitted. ``units`` is 'deg/h' or 'SI'. Quantities with limits are in
+    the units of measurement that the plan states.
     """
     records = [_record(row, units) for row in rows]
     names = dict.fromkeys(name for record in records for name in record)
@@ -110,7 +113,10 @@ def _record(row: UnitRow, units: str) -> Record:
 
 
 def _columns(name: str, measured: Estimate, limits: Limits) -> Iterator[tuple[str, float | None]]:
-    """Yield for each column of a quantity its name, and the number in the unit of the limits."""
+    """Yield the name of each column of a quantity, and its number in the unit of the limits.
+
+    The number is None if it is unknown or not finite.
+    """
     unit = f' [{limits.unit}]' if limits.unit else ''
     value = measured.value if measured.resolved else None
     low, high = (measured.resolved and measured.ci95) or (None, measured.upper95)
@@ -238,7 +244,7 @@ def index_html(rows: Sequence[UnitRow], plan: str = '') -> str:
 
 
 def _curves(row: UnitRow, sensor: str) -> dict[str, AxisCurve]:
-    """Return the measured Allan curves of a sensor: axis -> curve."""
+    """Return the measured Allan curves of a sensor: axis -> curve, for each axis with a curve."""
     if row.results is None:
         return {}
     axes = {axis: row.results.axes[axis] for axis in AXES[SENSORS[sensor]] if axis in row.results}
@@ -269,13 +275,16 @@ def _frame(rows: Sequence[UnitRow], sensor: str) -> _Frame:
     if not positive.any():
         return _Frame(0.0, 1.0, 0.0, 1.0)
     x, y = np.log10(tau[positive]), np.log10(adev[positive])
-    # the percentiles exclude an IMU with a wrong unit, which would make all other curves flat
+    # percentiles, because a few extreme Allan deviations would otherwise make all curves flat
     bottom, top = np.percentile(y, [1.0, 99.0])
     return _Frame(float(x.min()), float(x.max()), float(bottom) - 0.1, float(top) + 0.1)
 
 
 def _drawing(row: UnitRow, sensor: str, frame: _Frame) -> str:
-    """Return an SVG of the curves of a sensor and the limits of N as a band; '' without curves."""
+    """Return an SVG of the curves of the axes of a sensor; '' without curves.
+
+    If a plan limits N, a band shows the limits of the last axis that has a limit.
+    """
     curves = _curves(row, sensor)
     if not curves:
         return ''

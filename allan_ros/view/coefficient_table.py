@@ -38,13 +38,14 @@ def coefficient_table(
     Parameters
     ----------
     axes : mapping of axis to coefficients
-        The coefficients of the axes of one sensor.
+        The coefficients of at least one axis of a single sensor.
     units : 'deg/h' or 'SI'
         Units of measurement of the values.
     terms : sequence of str
         The terms that are shown.
     prefixes : bool
-        Whether the unit of a row gets an SI prefix that suits the largest value of the row.
+        Whether the unit of a row gets an SI prefix that suits the largest value or upper limit of
+        the row.
     """
     sensor = sensor_of(next(iter(axes)))
     rows = []
@@ -94,7 +95,11 @@ def term_name(sensor: str, term: str) -> str:
 
 
 def largest(known: Sequence[Estimate]) -> float:
-    """Return the largest magnitude or upper limit of coefficients in SI; 0 if none is known."""
+    """Return the largest number among coefficients in SI, given their magnitudes or upper limits.
+
+    A coefficient that is not resolved counts with its upper limit. The result is 0 if no magnitude
+    and no limit is known.
+    """
     sizes = [c.value if c.resolved else c.upper95 for c in known]
     return max((abs(s) for s in sizes if s is not None and math.isfinite(s)), default=0.0)
 

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Tables that compare coefficients with limits, between recordings, or between IMUs.
+"""Tables that compare coefficients with limits, with other recordings, or with other IMUs.
 
 `inflation_lines` and `common_lines` add titles and notes for the terminal.
 """
@@ -39,7 +39,8 @@ def limit_table(
 ) -> Table:
     """Return a table of the coefficients of a sensor, with percentages of the limits and verdicts.
 
-    ``stated`` maps each term to a text about its limits. A term without a limit has no row.
+    ``stated`` maps a term to the text of its limits in the datasheet. A term without a limit has no
+    row.
     """
 
     def share_of_limit(check: Check) -> str:
@@ -58,7 +59,8 @@ def baseline_table(
 ) -> Table:
     """Return a table of the coefficients of one sensor, with former values and verdicts.
 
-    ``before`` are the earlier results, which contain the former values.
+    ``before`` are the earlier results, which contain the former values. A term has a row if
+    ``comparisons`` contains a check of this term.
     """
 
     def former_value(check: Check) -> str:
@@ -78,8 +80,8 @@ def _checks_table(
 ) -> Table:
     """Return a table of the coefficients in ``comparisons``, with a row for each term.
 
-    ``detail`` returns the further text of a cell. ``notes`` maps a term to a text that is shown in
-    its heading instead of its name.
+    ``detail`` returns the text that is shown with a coefficient, given its check. ``notes`` maps a
+    term to a text that the heading of the row contains instead of the name of the term.
     """
     sensor = sensor_of(next(iter(axes)))
     rows = []
@@ -106,9 +108,9 @@ def runs_table(comparison: RunComparison, axes: Sequence[str], units: str) -> Ta
     """Return a table that compares the coefficients of several recordings, for one sensor.
 
     Each term has a row for each recording, and further rows with the coefficients of the other
-    recordings divided by the coefficients of the first recording. Terms that no recording measures
-    are omitted. The last rows state at how many averaging times the Allan deviations of a recording
-    and of the first recording differ.
+    recordings divided by the coefficients of the first recording. Terms for which no recording has
+    a value or a limit are omitted. The last rows state at how many averaging times the Allan
+    deviations of a recording and of the first recording differ significantly.
     """
     sensor = sensor_of(axes[0])
     rows: list[tuple[Heading, list[Cell]]] = []
@@ -162,13 +164,15 @@ SHOWN_TAU_S = (0.01, 0.1, 1.0, 10.0, 100.0)
 """Averaging times in s at which a ratio or a coherence is shown."""
 
 NEAR = 1.5
-"""Largest ratio between a measured averaging time and the rounded time in the heading above it."""
+"""Largest factor between the averaging time of a measured ratio or coherence and the rounded
+averaging time in the heading of its column."""
 
 
 def inflation_table(inflation: Inflation) -> Table:
-    """Return a table of N and K with motors on, in SI, with a row for each axis.
+    """Return a table of the N and K to use with motors on, in SI, with a row for each axis.
 
-    The column after each coefficient contains its ratio to the coefficient with motors off.
+    Each of these coefficients is the larger of its values with motors off and on. The column after
+    it contains the factor by which the motors increase the coefficient.
     """
     rows = []
     for axis, terms in inflation.axes.items():
@@ -185,7 +189,8 @@ def inflation_table(inflation: Inflation) -> Table:
 def deviation_ratio_table(inflation: Inflation) -> Table:
     """Return a table of the Allan deviations with motors on, divided by those with motors off.
 
-    There is a row for each axis and a column for each averaging time.
+    There is a row for each axis, and a column for each of the averaging times `SHOWN_TAU_S` at
+    which a ratio is known.
     """
     ratios = {axis: inflation.ratios(axis) for axis in inflation.axes}
     cells = {
@@ -211,7 +216,10 @@ def inflation_lines(inflation: Inflation, columns: int = WIDE) -> Iterator[str]:
 
 
 def _nearest(checks: Sequence[Check], tau: float) -> Check | None:
-    """Return the check with the averaging time closest to ``tau`` (s); None if none is near."""
+    """Return the check with the averaging time closest to ``tau`` (s).
+
+    Returns None if no averaging time differs from ``tau`` by a factor of less than `NEAR`.
+    """
     candidates = [c for c in checks if c.tau is not None and tau / NEAR < c.tau < NEAR * tau]
     return min(candidates, key=lambda c: abs((c.tau or 0.0) - tau), default=None)
 
@@ -231,7 +239,9 @@ def _share_cell(value: float, low: float, high: float) -> Cell:
 def common_table(common: CommonResult, units: str = 'deg/h') -> Table:
     """Return a table of N as measured, N without common noise, and the coherence of the IMUs.
 
-    There is a row for each axis and IMU. For a single IMU, there is a row for each pair of axes.
+    There is a row for each axis and IMU. For a single IMU, there is a row for each pair of axes,
+    and no N. If the IMUs measure the common noise with different factors, a column contains these
+    factors. Averaging times at which no coherence is known are omitted.
     """
     coherence_taus = SHOWN_TAU_S[1:]
     cells = {tau: [_coherence_cell(row, tau) for row in common.rows] for tau in coherence_taus}
@@ -263,7 +273,7 @@ def common_table(common: CommonResult, units: str = 'deg/h') -> Table:
 
 
 def common_lines(common: CommonResult, units: str = 'deg/h', columns: int = WIDE) -> Iterator[str]:
-    """Yield the lines of the table of common noise, and the warnings about the recordings.
+    """Yield the lines of the table of common noise, and the warnings and errors of the recordings.
 
     ``units`` is 'deg/h' or 'SI', and ``columns`` is the width of the text in characters.
     """

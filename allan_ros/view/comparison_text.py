@@ -30,12 +30,18 @@ def ratio_text(difference: Check) -> str:
 
 
 def verdict_text(difference: Check) -> str:
-    """Return 'alike', 'higher' or 'lower' for the second of two recordings, or 'not comparable'."""
+    """Return the verdict on the second of two recordings: 'alike', 'higher' or 'lower'.
+
+    If the quantity cannot be compared, the text is 'not comparable'.
+    """
     return 'not comparable' if difference.verdict == 'undecided' else difference.verdict
 
 
 def quantity_text(difference: Check) -> str:
-    """Return axis and quantity of a comparison: 'gyro x N' or 'gyro x deviation at 1.0 s'."""
+    """Return the axis and the quantity of a comparison, such as 'gyro x deviation at 1.0 s'.
+
+    For a coefficient, the text is, for example, 'gyro x N'.
+    """
     axis = difference.axis.replace('_', ' ')
     if difference.tau is None:
         return f'{axis} {difference.quantity}'
@@ -86,7 +92,7 @@ def _equivalence_sentence(comparison: RunComparison, label: str, checks: Sequenc
 
 
 def _size(difference: Check) -> float:
-    """Return the distance of the 95 % interval of a significant ratio from 1, as a logarithm."""
+    """Return the distance from 1 to the 95 % interval of a significant ratio, as a logarithm."""
     low, high = difference.ratio.ci95 or (1.0, 1.0)
     return math.log(low) if low > 1.0 else -math.log(high)
 

@@ -64,10 +64,11 @@ def _entries(text: str) -> Iterator[tuple[str, Words]]:
 
 
 def texts_of(finding: Finding, units: str = 'deg/h', spelled: Callable[[str], str] = str) -> Texts:
-    """Return message and remedy of a finding, with its numbers filled in.
+    """Return the message and the remedy of a finding, with its numbers filled in.
 
     ``units`` is 'deg/h' or 'SI'. ``spelled`` is a function that returns the spelling of a unit of
-    measurement, such as `pretty_unit`.
+    measurement, such as `pretty_unit`. If the document of the finding contained its texts
+    (`Finding.stated`), these texts are returned unchanged.
 
     Examples
     --------
@@ -101,7 +102,10 @@ def finding_document(finding: Finding, units: str = 'deg/h') -> dict[str, Any]:
 
 
 def explained(error: AllanError) -> AllanError:
-    """Return an error whose message also contains the texts of its findings."""
+    """Return an error whose message also contains the texts of the findings of ``error``.
+
+    If ``error`` has no findings, it is returned itself.
+    """
     if not error.findings:
         return error
     return AllanError(' '.join([str(error), *map(finding_line, error.findings)]))
@@ -110,7 +114,7 @@ def explained(error: AllanError) -> AllanError:
 def _filled(
     template: str, values: Mapping[str, Any], units: str, spelled: Callable[[str], str]
 ) -> str:
-    """Return the text of a template, with its values inserted."""
+    """Return the text of a template in which the values replace the fields."""
 
     def optional(part: re.Match[str]) -> str:
         names = [name for name, _ in FIELD.findall(part[1])]
@@ -162,7 +166,10 @@ def _plain_text(value: Any, spec: str) -> str:
 def _quantities_text(
     quantities: Sequence[Estimate], digits: int, units: str, spelled: Callable[[str], str]
 ) -> str:
-    """Return the range of several quantities of one kind, such as '2 to 3 deg/h (1.5 to 4.1)'."""
+    """Return the range of several quantities of one kind, such as '2 to 3 deg/h (1.5 to 4.1)'.
+
+    If no value is known, the text states the largest upper limit, such as '< 3 deg/h'.
+    """
     values_si = [q.value for q in quantities if q.value is not None]
     intervals = [q.ci95 for q in quantities if q.ci95 is not None]
     limits = [q.upper95 for q in quantities if q.upper95 is not None]
@@ -185,9 +192,9 @@ def _quantities_text(
 
 
 MOST_VALUES, APART = 3, 1.1
-"""Several numbers are written as a range. Up to `MOST_VALUES` numbers are listed instead if the
-largest is more than `APART` times the smallest, because a range could be misread, for example as a
-band of frequencies."""
+"""Several numbers are written as a range. Up to `MOST_VALUES` different numbers without a unit are
+listed instead if the largest is more than `APART` times the smallest, because a range could be
+misread, for example as a band of frequencies."""
 
 FAST_DEG_H = 36.0
 """Angular rates of at least this size, in deg/h, are printed in deg/s."""

@@ -78,8 +78,9 @@ def deviation_text(deviation: Deviation | None) -> str:
 def temperature_text(models: Mapping[str, TemperatureModel], units: str) -> str:
     """Return the bias over temperature of the axes of one sensor as text, with 95 % intervals.
 
-    The text states the slope of each axis, the hysteresis if it is resolved, and K before and after
-    the bias over temperature is subtracted.
+    The text states the slope of each axis, and K before and after the bias over temperature is
+    subtracted. If they are resolved, the text also states the share of the drift that the
+    temperature explains, and the hysteresis.
     """
     names, fits = list(models), list(models.values())
     bias_unit, walk_unit = (
@@ -140,8 +141,9 @@ dashes distinguish the lines in print without colors."""
 class DrawnCurve(NamedTuple):
     """The Allan curve and the model of one axis as they are drawn.
 
-    Each array, (factors,), has a value for each averaging time, and is NaN where nothing is drawn.
-    The deviations are in the unit of the drawing, which is chosen in `drawn_curve`.
+    Each array, (factors,), has one element for each averaging time. The Allan deviations are NaN
+    where nothing is drawn. They are in the unit of the drawing, which the argument ``factor`` of
+    `drawn_curve` determines.
     """
 
     tau: Floats  # averaging times in s

@@ -35,10 +35,10 @@ PLAIN = 'plain'
 
 
 def filter_table(results: Results) -> Table:
-    """Return a table of the numbers in imu.yaml, in SI, with a row for each key of this file.
+    """Return a table of the noise parameters in imu.yaml, in SI, with a row for each parameter.
 
-    Each cell also states how its number was computed. Raises AllanError if a key needs an axis
-    that was not measured.
+    Each cell also states how its number was computed. Raises AllanError if imu.yaml cannot be
+    written, for example because a sensor was not measured, or the unit of the samples is wrong.
     """
     measured_rows = [row for row in target_rows(results, 'kalibr') if row.levels]
     is_raised = any(level.raised_from is not None for row in measured_rows for level in row.levels)
@@ -118,7 +118,8 @@ def growth_table(axes: Axes, units: str) -> Table:
 def size_cell(known: Estimate, factor: float) -> Cell:
     """Return a cell with a standard deviation (SI) and its 95 % interval, times ``factor``.
 
-    If the interval begins at 0, because no term is resolved, only its upper end is stated.
+    If the interval begins at 0, only its upper end is stated. If this end is 0 or unknown, the text
+    is `NOTHING_KNOWN`.
     """
     size = known.value or 0.0
     low, high = known.ci95 or (size, size)

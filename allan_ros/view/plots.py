@@ -1,6 +1,9 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Figures of Allan deviations and coherences, drawn with matplotlib."""
+"""Figures of Allan deviations and coherences, drawn with matplotlib.
+
+Importing this module raises AllanError if matplotlib cannot be imported.
+"""
 
 from __future__ import annotations
 
@@ -48,7 +51,7 @@ WIDTH_IN, ROW_IN, HEAD_IN = 7.16, 1.9, 0.7
 height of the title and labels together, in inches."""
 
 BAND_ALPHA, LIMIT_ALPHA = 0.2, 0.1
-"""Opacity of the band of the 68 % limits, and of the area for unresolved terms."""
+"""Opacity of a band of confidence limits, and of the area for unresolved terms."""
 
 TAU_LABEL = 'averaging time τ [s]'
 
@@ -63,9 +66,9 @@ class _ShownFigure(Figure):
 def figure_files(
     results: Results, formats: Sequence[str], units: str = 'deg/h'
 ) -> dict[str, bytes]:
-    """Return the figures of all sensors: file name -> content of the file.
+    """Return the figure of each sensor that has a curve: file name -> content of the file.
 
-    A format is 'png', 'svg' or 'pdf', and ``units`` is 'deg/h' or 'SI'.
+    ``formats`` are the formats of the files: 'png', 'svg' or 'pdf'. ``units`` is 'deg/h' or 'SI'.
     """
     return {
         f'allan_{sensor}.{form}': render_figure(figure, form)
@@ -151,7 +154,7 @@ def draw_axes(panel: Axes, axes: Mapping[str, AxisResult], units: str = 'deg/h')
 
 
 def _new_figure(rows: int, title: str) -> tuple[Figure, Any]:
-    """Return a figure and its panels, (rows,), which have the same horizontal axis."""
+    """Return a figure and its panels, (rows,), one below the other with one horizontal axis."""
     size = (WIDTH_IN, HEAD_IN + ROW_IN * rows)
     figure = _ShownFigure(figsize=size, layout='constrained')
     panels = figure.subplots(rows, sharex=True, squeeze=False)[:, 0]

@@ -58,11 +58,13 @@ def write_result_files(
 ) -> tuple[Results, list[Path]]:
     """Write the files of an analysis, as in `Results.save`; return the results and the paths.
 
-    The returned results have a finding for each export target whose file cannot be written.
+    The returned results have a finding for each export target whose file cannot be computed.
     ``command`` is the command that repeats the analysis, which the report shows.
 
-    Raises AllanError if the results have no Allan sums, the folder has results of another
-    recording, or a file cannot be written.
+    Raises AllanError if the results have no Allan sums, an export target is unknown, figures are
+    requested but matplotlib is missing, a file cannot be written, or another process writes to the
+    folder for longer than `LOCK_WAIT_S`. Unless ``overwrite`` is set, also raises AllanError if the
+    folder has results of another recording.
     """
     recorded = results.recorded
     if recorded is None:
@@ -104,7 +106,7 @@ def write_result_files(
 
 @contextmanager
 def _folder_locked(folder: Path) -> Iterator[None]:
-    """Lock the folder; raise AllanError if another process keeps it locked for `LOCK_WAIT_S`."""
+    """Lock a folder; raise AllanError if another process locks it for longer than `LOCK_WAIT_S`."""
     lock, deadline = PathLock(folder / RESULTS), time.monotonic() + LOCK_WAIT_S
     while owner := lock.acquire():
         if time.monotonic() > deadline:

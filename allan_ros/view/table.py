@@ -31,7 +31,7 @@ MARKS = {'within': '✓', 'undecided': '≈', 'exceeds': '✕'}
 
 GAP, HEADINGS = 2, 14
 """Space between the columns of a table in the terminal, and smallest width of the row headings, in
-characters. This width aligns the tables of several sensors."""
+characters. The smallest width aligns the tables of several sensors."""
 
 WIDE = 1000
 """Width in characters of text that is not shown in a terminal, practically unlimited."""
@@ -40,10 +40,11 @@ WIDE = 1000
 class Heading(NamedTuple):
     """Heading of a column or of a row: name, unit of its cells, and an explanation.
 
-    The other fields are used in the terminal. ``align`` is the alignment of a column. The lines of
-    a column with ``wraps`` are broken at the width of the terminal; other columns are as wide as
-    their content. If a table is split because it is too wide, each part has the columns with
-    ``repeats``.
+    The explanation ``note`` is shown only in HTML; ``align``, ``wraps`` and ``repeats`` are used
+    only in the terminal. ``align`` is the alignment of a column. If ``wraps`` is set, the texts of
+    the column are broken into lines that fit the terminal; other columns are as wide as their
+    content. If a table is too wide and therefore split, each part contains the columns for which
+    ``repeats`` is set.
     """
 
     name: str
@@ -68,7 +69,8 @@ class Cell:
         The content for programs; None if it is unknown.
     status : str
         Status of a coefficient, such as 'not_observable', or the result of a comparison, such as
-        'exceeds'. HTML uses it as a class.
+        'exceeds'. In HTML, a status in `MARKS` is shown with its symbol; another status is the
+        class of the cell.
     link : str
         Address to which the text is linked in HTML.
     """
@@ -94,6 +96,11 @@ class Table:
         Each row has one cell for each column.
     note : str
         Explanation below the table; '' for no explanation.
+
+    Raises
+    ------
+    ValueError
+        When a row does not have one cell for each column.
     """
 
     corner: Heading
@@ -210,9 +217,10 @@ def _plain(heading: Heading) -> str:
 
 
 def in_units(html_of: Callable[[str], str]) -> str:
-    """Return HTML that contains a text in datasheet units and in SI, of which the page shows one.
+    """Return HTML that contains a text in datasheet units and in SI; the page shows one of them.
 
-    ``html_of`` returns the HTML of the text for 'deg/h' or 'SI'. Equal texts are contained once.
+    ``html_of`` returns the HTML of the text for 'deg/h' or 'SI'. If both texts are equal, the HTML
+    contains the text once.
     """
     texts = {units: html_of(units) for units in UNIT_SYSTEMS}
     if len({*texts.values()}) == 1:
@@ -229,8 +237,8 @@ def html_table(kind: str, table_of: Callable[[str], Table]) -> str:
     tables = {units: table_of(units) for units in UNIT_SYSTEMS}
     first_table = tables[UNIT_SYSTEMS[0]]
 
-    def heading(of: Callable[[Table], Heading]) -> str:
-        return in_units(lambda units: heading_html(of(tables[units])))
+    def heading(heading_of: Callable[[Table], Heading]) -> str:
+        return in_units(lambda units: heading_html(heading_of(tables[units])))
 
     corner = heading(lambda table: table.corner)
     header_cells = f'<th scope="col">{corner}</th>' if corner else '<td></td>'
@@ -270,7 +278,7 @@ def _cell_html(cell: Cell) -> str:
     text = DASH if cell.text == NOTHING_KNOWN else escape(cell.text).replace('\n', '<br>')
     if cell.link:
         text = f'<a href="{escape(cell.link)}">{text}</a>'
-    # an interval may be broken only before its two dots
+    # in an interval, a line break is permitted only before the two dots
     detail = escape(cell.detail).replace('..', '<wbr>..')
     return f'{text}<small>{detail}</small>' if detail else text
 
@@ -302,7 +310,8 @@ def records(table: Table) -> list[Record]:
 def csv_text(rows: Iterable[Record], names: Sequence[str]) -> str:
     """Return records as the text of a CSV file, with the names of the columns in the first line.
 
-    Unknown values are empty. Floating-point numbers have six significant digits.
+    Unknown values are empty. Floating-point numbers have six significant digits. Raises ValueError
+    if a record has a name that ``names`` does not contain.
     """
     file = io.StringIO()
     writer = csv.DictWriter(file, names, restval='', lineterminator='\n')

@@ -64,7 +64,8 @@ def name_of(checks: Sequence[Check]) -> str:
 def checks_text(checks: Sequence[Check], plan: Plan) -> str:
     """Return measured quantities as text, each with its limits in the plan.
 
-    Axes of one sensor that have equal limits are named together.
+    Axes of one sensor that have equal limits are named together. At most `SHOWN_CHECKS` quantities
+    are named; the others are counted.
     """
     groups: dict[tuple[str, str, Limits, str], list[Check]] = {}
     for check in checks:

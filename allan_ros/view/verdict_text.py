@@ -63,7 +63,7 @@ class Verdict:
 
 
 def verdict_of(results: Results, units: str = 'deg/h') -> Verdict:
-    """Return the verdict on an IMU, given its results; ``units`` are 'deg/h' or 'SI'."""
+    """Return the verdict on an IMU, given its results; ``units`` is 'deg/h' or 'SI'."""
     comparisons = results.comparisons
     summary = _summary(results, comparisons, units)
     reasons = tuple(finding_text(f, results, units) for f in warnings_and_errors(results))
@@ -107,7 +107,7 @@ def quality(results: Results) -> str:
     """Return a sentence about the precision of N, B and K: 'N to 0.4 %, B to 8 %, K needs 3 h.'
 
     A percentage is half the width of the 95 % interval, relative to the value, on the axis on which
-    this ratio is largest.
+    this ratio is largest. If the method gives no intervals, the sentence says so.
     """
     if not any(c.ci95 or c.upper95 for a in results.axes.values() for c in a.fit.noise.values()):
         return f'Method {results.method} gives no intervals.'
@@ -161,7 +161,7 @@ def _excesses(results: Results, exceeded: Sequence[Check], units: str) -> Iterat
 
 
 def warnings_and_errors(results: Results) -> list[Finding]:
-    """Return the warnings and errors among the findings; equal findings of axes are merged."""
+    """Return the warnings and errors among the findings; findings of several axes are merged."""
     return [found for found in grouped(results.findings) if found.severity != 'info']
 
 
@@ -198,8 +198,8 @@ def further_steps(results: Results, verdict: Verdict) -> list[str]:
 def findings_and_notes(results: Results) -> tuple[list[Finding], list[Finding]]:
     """Return the findings that affect the data or the numbers, and the notes.
 
-    Equal findings of several axes are merged. Both lists begin with the findings that affect the
-    user most (`by_consequence`).
+    Findings of several axes that differ only in numbers are merged. Both lists begin with the
+    findings that affect the user most (`by_consequence`).
     """
     findings = grouped(results.findings)
     return [f for f in findings if not is_note(f)], [f for f in findings if is_note(f)]
@@ -235,22 +235,26 @@ def _joined(words: Sequence[str]) -> str:
     return words[0] if len(words) == 1 else f'{", ".join(words[:-1])} and {words[-1]}'
 
 
-REPORTED_LEFT_OUT = 0.01
-"""The number of received samples is also shown if at least this fraction of them is unused."""
+SHOWN_UNUSED_SHARE = 0.01
+"""The number of received samples is also shown if more than this fraction of them is unused."""
 
 
 def used_samples(results: Results) -> str:
-    """Return '60,000 samples', or '737,856 of 1,000,000 samples' if some were not used."""
+    """Return the number of used samples as text, such as '60,000 samples'.
+
+    If more than `SHOWN_UNUSED_SHARE` of the samples are unused, the text also states the number of
+    received samples: '737,856 of 1,000,000 samples'.
+    """
     used, counts = results.samples, results.provenance.counts
     # with two topics, the counts are for both topics, but `used` is for one topic
-    has_two_topics = used < (1.0 - REPORTED_LEFT_OUT) * counts.used
-    shows_total = not has_two_topics and used < (1.0 - REPORTED_LEFT_OUT) * counts.received
+    has_two_topics = used < (1.0 - SHOWN_UNUSED_SHARE) * counts.used
+    shows_total = not has_two_topics and used < (1.0 - SHOWN_UNUSED_SHARE) * counts.received
     total = f' of {counts.received:,}' if shows_total else ''
     return f'{used:,}{total} samples'
 
 
 def headline(results: Results) -> str:
-    """Return a line with the name of the IMU, its samples, the time at rest and the fit method."""
+    """Return name of the IMU, samples, rate, time at rest, and method of the fit as one line."""
     name = results.identity.label or 'IMU'
     return (
         f'{name}: {used_samples(results)} at {results.rate_hz:.5g} Hz, '

@@ -3,8 +3,8 @@
 """The HTML report of an analysis in one file: verdict, findings, interactive charts and tables.
 
 The Content-Security-Policy of the page forbids network requests. It permits only scripts with the
-listed hashes, so that text of a recording cannot run as a script, and images in the page, which are
-needed to save a chart as PNG.
+listed hashes, so that a text in a recording cannot run as a script. It also permits images that the
+page itself contains, with which a chart is saved as PNG.
 """
 
 from __future__ import annotations
@@ -94,8 +94,8 @@ def render_report(
     name = results.identity.label or 'IMU'
     sensors = {
         sensor: axes
-        for sensor, where in SENSORS.items()
-        if (axes := {a: results.axes[a] for a in AXES[where] if a in results.axes})
+        for sensor, rows in SENSORS.items()
+        if (axes := {a: results.axes[a] for a in AXES[rows] if a in results.axes})
     }
     charts = [sensor_charts(results, s, signal) for s in sensors]
     data = {
@@ -150,7 +150,7 @@ def render_report(
 
 
 def _fold(id: str, title: str, content: Sequence[str], shown: bool = False) -> Iterator[str]:
-    """Yield the HTML of a section that can be opened and closed; nothing without content."""
+    """Yield the HTML of a section that can be opened and closed; nothing without any content."""
     if any(content):
         yield f'<details id="{id}"{" open" if shown else ""}><summary><h2>{title}</h2></summary>'
         yield from content

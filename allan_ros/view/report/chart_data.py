@@ -28,7 +28,9 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 
 MEANS = 128
-"""Largest number of points in a chart of the bias or the noise over time."""
+"""Largest number of points in a chart of the bias or the noise over time of a single recording.
+A chart of several recordings may have a few more points, because each recording begins with a new
+point."""
 
 LEAST_TREND_POINTS = 4
 """Smallest number of points of a chart over time or over temperature."""
@@ -58,7 +60,8 @@ def sensor_charts(results: Results, sensor: str, summary: SignalSummary | None) 
 def rounded(values: ArrayLike, digits: int = 5) -> list[float | None]:
     """Return values of any unit, (n,), rounded to ``digits`` significant digits.
 
-    NaN and infinity become None. An error in the fifth digit is less than a tenth of a pixel.
+    NaN and infinity become None. Rounding to five digits moves a point of a chart by less than a
+    tenth of a pixel.
     """
     numbers = np.asarray(values, float).tolist()
     return [float(f'{v:.{digits}g}') if math.isfinite(v) else None for v in numbers]
@@ -69,6 +72,7 @@ def to_script(data: object) -> str:
 
     A ``<`` in a frame_id could end the element, and two Unicode separators end a line in older
     versions of JavaScript. These characters occur only in JSON strings, in which they are escaped.
+    Raises ValueError if the data contain NaN or infinity.
     """
     text = json.dumps(data, allow_nan=False, ensure_ascii=False, separators=(',', ':'))
     for character in '<>&\u2028\u2029':
@@ -139,7 +143,10 @@ def _references(
 
 
 def _density(axes: Mapping[str, AxisResult], results: Results) -> dict[str, Any] | None:
-    """Return measured and modeled noise densities of all axes, in SI/sqrt(Hz); None if unknown."""
+    """Return the measured and modeled noise densities of the axes in SI/sqrt(Hz), for the chart.
+
+    Returns None if the results have no Allan sums with a spectrum of these axes.
+    """
     all_sums = () if results.recorded is None else results.recorded.sums
     spectra = (noise_density(sums) for sums in all_sums if set(axes) & set(sums.axes))
     spectrum = next((found for found in spectra if found is not None), None)
@@ -188,7 +195,8 @@ def times(summary: SignalSummary | None) -> dict[str, Any] | None:
     """Return the times of the raw signal, and bands of time to be marked; None without a signal.
 
     A band is (start in s, end in s, kind). The kind is 'gap', or the reason in `Excluded.why` for
-    which the time is excluded, or 'other' if no reason is known.
+    which the time is excluded, or 'other' if no reason is known. The key ``starts`` contains the
+    start of each recording after the first, in s.
     """
     if summary is None:
         return None
@@ -198,7 +206,10 @@ def times(summary: SignalSummary | None) -> dict[str, Any] | None:
 
 
 def temperature_chart(summary: SignalSummary | None) -> dict[str, Any] | None:
-    """Return times in s and temperatures in degC; None if no temperature was recorded."""
+    """Return the source, the times in s and the temperatures in degC of the recorded temperature.
+
+    Returns None if no temperature was recorded.
+    """
     if summary is None or summary.temperature is None:
         return None
     temperature = summary.temperature
@@ -226,10 +237,10 @@ def motion_chart(results: Results) -> dict[str, Any] | None:
 def model_density(axis: AxisResult, spectrum: Spectrum) -> Floats:
     """Return the one-sided power spectral density of the model, (frequencies,), in SI unit^2/Hz.
 
-    The density is the expectation of the measured ``spectrum`` if the model is right. Sinusoids
-    therefore have peaks of the same height, and slow processes the same leakage. A ramp has no
-    effect, because the tapers remove it. The density is NaN above the pass band of a low-pass
-    filter.
+    The density is the expectation of the measured ``spectrum`` if the model is right. It therefore
+    has peaks of the same height at sinusoids, and the same leakage of slow processes, as the
+    spectrum. A ramp has no effect, because the tapers remove it. If the samples are low-pass
+    filtered, the density is NaN above the pass band.
     """
     tau0, power = axis.tau0, np.zeros(len(spectrum.frequency))
     for process, value, *_ in axis.fit.model.parts:
@@ -254,7 +265,8 @@ def trends(results: Results, sensor: str, summary: SignalSummary | None) -> list
     """Return the charts of bias and noise over time, and of the bias over temperature.
 
     The charts are computed from the ``summary`` of the raw signal. The list is empty without a
-    summary, and if there are too few points.
+    summary, and if the bias is known at fewer than `LEAST_TREND_POINTS` times. The chart of the
+    bias over temperature is missing if the temperature is unknown or nearly constant.
     """
     names = [name for name in AXES[SENSORS[sensor]] if name in results.axes]
     if summary is None or not names:
@@ -283,8 +295,8 @@ def trends(results: Results, sensor: str, summary: SignalSummary | None) -> list
 def _over_time(summary: SignalSummary, values: Floats) -> Trend:
     """Return the means of ``values``, (bins, axes), over intervals of equal length.
 
-    A mean is NaN unless more than half of the bins of its interval are used. A NaN separates two
-    recordings.
+    The last interval of a recording may be shorter. A mean is NaN unless the number of used bins in
+    its interval is more than half of the bins of a full interval. A NaN separates two recordings.
     """
     step = -(-len(summary.time_s) // MEANS)
     time_steps = np.diff(summary.time_s)
@@ -292,8 +304,8 @@ def _over_time(summary: SignalSummary, values: Floats) -> Trend:
     first_bins = np.searchsorted(summary.time_s, summary.starts).tolist()
     x, rows = [], []
     for begin, end in zip(first_bins, [*first_bins[1:], len(values)]):
-        for at in range(begin, end, step):
-            part = slice(at, min(at + step, end))
+        for first_bin in range(begin, end, step):
+            part = slice(first_bin, min(first_bin + step, end))
             used_values = values[part][summary.used[part]]
             is_known = np.isfinite(used_values)
             counts = np.where(2 * is_known.sum(axis=0) > step, is_known.sum(axis=0), np.nan)
@@ -305,7 +317,11 @@ def _over_time(summary: SignalSummary, values: Floats) -> Trend:
 
 
 def _against_temperature(bias: Trend, summary: SignalSummary | None) -> Trend | None:
-    """Return the bias over temperature; None if the temperature is unknown or nearly constant."""
+    """Return the bias over temperature, sorted by temperature.
+
+    Returns None if the temperature is unknown or varies by at most 0.5 K, or if there are fewer
+    than `LEAST_TREND_POINTS` points.
+    """
     if summary is None or summary.temperature is None:
         return None
     trace = summary.temperature
@@ -324,7 +340,8 @@ def _fitted(
 ) -> dict[str, Any]:
     """Return the models of the bias over temperature as curves and as text.
 
-    Each curve is shifted to the mean of the points of its axis.
+    Each curve is shifted to the mean of the points of its axis. Unless each of the axes ``names``
+    has a model, there are no curves, and the text is ''.
     """
     if set(models) != set(names):
         return {'fits': [], 'text': dict.fromkeys(UNIT_SYSTEMS, '')}

@@ -70,7 +70,8 @@ def filter_html(results: Results) -> str:
 def growth_html(axes: Axes) -> Iterator[str]:
     """Yield an HTML table of the predicted angle or velocity error without correction.
 
-    Notes state the scatter of the bias between recordings, if the scatter is known.
+    If the results are from several recordings, notes state the scatter of the bias of each axis
+    between the recordings.
     """
     if all(axis.growth for axis in axes.values()):
         yield _scrolled('comparison', partial(growth_table, axes))
@@ -98,7 +99,10 @@ def _scatter(name: str, axis: AxisResult, units: str) -> str:
 
 
 def datasheet_html(axes: Axes, sheet: Datasheet, comparisons: Sequence[Check]) -> Iterator[str]:
-    """Yield an HTML table that compares a sensor with its datasheet; nothing without limits."""
+    """Yield an HTML table that compares a sensor with its datasheet, and notes about the limits.
+
+    Nothing is yielded if the datasheet has no limit for a measured term.
+    """
     stated_texts: dict[str, list[str]] = {}
     notes = []
     for term in TERMS:
@@ -123,7 +127,10 @@ def datasheet_html(axes: Axes, sheet: Datasheet, comparisons: Sequence[Check]) -
 
 
 def baseline_html(axes: Axes, before: Results, comparisons: Sequence[Check]) -> Iterator[str]:
-    """Yield an HTML table that compares a sensor with an earlier run; nothing without checks."""
+    """Yield an HTML table that compares a sensor with an earlier run, and a note.
+
+    Nothing is yielded if no coefficient of the sensor was compared with the earlier run.
+    """
     if any(c.axis in axes and c.quantity in TERMS for c in comparisons):
         yield _scrolled(
             'comparison', lambda units: baseline_table(_noise(axes), comparisons, units, before)
