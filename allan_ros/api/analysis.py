@@ -125,8 +125,8 @@ def load(path: str | os.PathLike[str], method: str = 'likelihood') -> Results:
     Raises
     ------
     AllanError
-        When the file is missing or invalid, the files in the folder are of different analyses, or
-        the Allan sums cannot be fitted, for example because ``method`` is unknown.
+        When ``method`` is unknown, the file is missing or invalid, the files in the folder are of
+        different analyses, or the Allan sums cannot be fitted.
 
     Examples
     --------
@@ -138,6 +138,7 @@ def load(path: str | os.PathLike[str], method: str = 'likelihood') -> Results:
     ...     ar.load(folder).samples == results.samples
     True
     """
+    ResultSettings(method=method)  # checks the method, also of results that are not fitted again
     return Results.of(load_results(path, method))
 
 

@@ -8,6 +8,7 @@ import os
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from string import ascii_uppercase
 from typing import Any
 
 from ..core.check import MARGIN
@@ -128,7 +129,7 @@ def compare(
     sheets = [load_sensor(str(name)) for name in sensors]
     sources = tuple(sorted(sources, key=lambda s: not (isinstance(s, PATH) and is_truth(s))))
     unshortened_names = [
-        chr(ord('A') + i) if isinstance(s, PlainResults) else str(s) for i, s in enumerate(sources)
+        _name_in_memory(i) if isinstance(s, PlainResults) else str(s) for i, s in enumerate(sources)
     ]
     labels = labels_of(unshortened_names)
     if len({*labels}) < len(labels):
@@ -195,7 +196,7 @@ def common(*sources: Any, rate: float = 0.0, **options: Any) -> CommonResult:
     if len({*absolute_paths}) < len(absolute_paths):
         raise AllanError('a recording is given twice: give one recording of each IMU')
     recordings: dict[str, Recording] = {}
-    paths = [str(s) if isinstance(s, PATH) else chr(ord('A') + i) for i, s in enumerate(sources)]
+    paths = [str(s) if isinstance(s, PATH) else _name_in_memory(i) for i, s in enumerate(sources)]
     for source, path, label in zip(sources, paths, labels_of(paths)):
         if not isinstance(source, PATH):
             recordings[label] = recording_in_memory(source, reading)
@@ -208,6 +209,12 @@ def common(*sources: Any, rate: float = 0.0, **options: Any) -> CommonResult:
         raise AllanError('no recording is given: give one recording of each IMU')
     plain_result = common_of(recordings, settings)
     return CommonResult(plain_result.rows, plain_result.findings)
+
+
+def _name_in_memory(position: int) -> str:
+    """Return the name of data in memory: 'A' to 'Z' by position, then 'A2' to 'Z2', and so on."""
+    n_rounds, letter = divmod(position, len(ascii_uppercase))
+    return f'{ascii_uppercase[letter]}{n_rounds + 1 if n_rounds else ""}'
 
 
 @public

@@ -81,6 +81,8 @@ def against(
 ) -> tuple[Drift, ...]:
     """Return the drift of each measured axis according to the user's file and to the model.
 
+    An axis without any resolved noise has no drift and is omitted.
+
     Parameters
     ----------
     results : Results
@@ -97,8 +99,9 @@ def against(
     Raises
     ------
     AllanError
-        If the text lacks a number of the target, has several values or an invalid value of it, or
-        the target has no noise model in its file; also under the conditions of `FilterNoise`.
+        If the text lacks a number of the target, has several values or an invalid value of it, the
+        target has no noise model in its file, or the results contain no noise of an axis in the
+        file; also under the conditions of `FilterNoise`.
     """
     noise = FilterNoise(results, options, target)
     window = noise.horizon
@@ -110,8 +113,13 @@ def against(
         for expected, growth in zip(
             expected_drifts, growth_table(results.axes[axis].fit, horizons=AFTER_S, window=window)
         ):
-            std, ci95 = growth.std.value or 0.0, growth.std.ci95
-            drifts.append(Drift(axis, growth.horizon, float(expected), std, ci95))
+            if growth.std.value:
+                std, ci95 = growth.std.value, growth.std.ci95
+                drifts.append(Drift(axis, growth.horizon, float(expected), std, ci95))
+    if not drifts:
+        raise AllanError(
+            'the results contain no measured noise of an axis in the file: record longer at rest'
+        )
     return tuple(drifts)
 
 

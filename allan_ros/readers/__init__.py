@@ -34,7 +34,8 @@ class Format(NamedTuple):
     The function ``opener`` of ``module`` has the arguments path and `ReadOptions`, and returns a
     `Recording`. A file has the format if it begins with one of ``magics``. If the first bytes of
     the file belong to no format, its suffix must be in ``suffixes`` or ``other_suffixes``. In a
-    folder of recordings, only files with one of ``suffixes`` are read.
+    folder of recordings, only files with one of ``suffixes`` are read. ``has_topics`` states
+    whether a file can contain several topics.
     """
 
     module: str
@@ -42,6 +43,7 @@ class Format(NamedTuple):
     suffixes: tuple[str, ...]
     other_suffixes: tuple[str, ...] = ()
     magics: tuple[bytes, ...] = ()
+    has_topics: bool = False
 
 
 ZSTD = b'\x28\xb5\x2f\xfd'
@@ -54,10 +56,11 @@ FORMATS = {
         ('.mcap', '.db3', '.bag'),
         ('.zstd', '.zst', '.active'),
         (b'\x89MCAP0\r\n', b'SQLite format 3\0', b'#ROSBAG', ZSTD),
+        has_topics=True,
     ),
     'table': Format('tables', 'open_table', ('.csv', '.tsv'), ('.txt', '.dat')),
     'array': Format('arrays', 'open_array', ('.npz', '.npy'), magics=(b'PK\x03\x04', b'\x93NUMPY')),
-    'ulog': Format('ulog', 'open_ulog', ('.ulg',), magics=(b'ULog\x01\x12\x35',)),
+    'ulog': Format('ulog', 'open_ulog', ('.ulg',), magics=(b'ULog\x01\x12\x35',), has_topics=True),
 }
 """Name of a format -> format. A folder is always a bag."""
 
@@ -99,6 +102,8 @@ def _open(path: Path, options: ReadOptions) -> Recording:
     name = format_of(path)
     if options.accel_topic and name != 'bag':
         raise AllanError(f'{path}: is not a bag: omit --accel-topic')
+    if options.topic and not FORMATS[name].has_topics:
+        raise AllanError(f'{path}: has no topics: omit --topic')
     module = import_module(f'.{FORMATS[name].module}', __package__)
     return cast(Recording, getattr(module, FORMATS[name].opener)(path, options))
 

@@ -8,9 +8,11 @@ import math
 from collections.abc import Iterator, Sequence
 
 from ..core.check import Check
+from ..core.findings import grouped
 from ..core.number_text import significant
 from ..results.comparison import RunComparison, significant_of
-from ..results.results import Results
+from ..results.results import UNSUITABLE, WRONG_UNITS, Results
+from .finding_text import texts_of
 
 RATIO_DIGITS = 3
 """Significant digits of a ratio and of the ends of its interval."""
@@ -60,9 +62,9 @@ def _sentence(comparison: RunComparison, label: str, checks: Sequence[Check]) ->
             f'and {deviations} deviations '
             f'({100.0 * comparison.family_error:g} % false alarms overall)'
         )
-    # Coefficients take precedence over Allan deviations, and ratios over limits of a ratio.
+    # Coefficients take precedence over Allan deviations.
     candidates = [d for d in differing if d.tau is None] or differing
-    largest_ratio = max(candidates, key=lambda d: (d.ratio.value is not None, _size(d)))
+    largest_ratio = max(candidates, key=_size)
     return (
         f'{label} differs from {first_label} in {len(differing)} of {len(checks)} comparisons, '
         f'most in {quantity_text(largest_ratio)}: {ratio_text(largest_ratio)} times'
@@ -114,10 +116,15 @@ def _datasheet_sentence(label: str, results: Results) -> str:
 def sentences(comparison: RunComparison) -> Iterator[str]:
     """Yield the results of a comparison as sentences.
 
-    One sentence for each further recording compares it with the first recording, and one sentence
-    judges each recording with a datasheet. If ``comparison.within`` is set, further sentences state
-    the results of the tests of equivalence with the first recording.
+    The first sentences name recordings whose coefficients do not describe the sensor, for example
+    because it moved. Then one sentence for each further recording compares it with the first
+    recording. If ``comparison.within`` is set, further sentences state the results of the tests of
+    equivalence with the first recording. The last sentences judge the recordings with datasheets.
     """
+    for label, results in comparison.runs.items():
+        for finding in grouped(results.findings):
+            if finding.id in (*WRONG_UNITS, *UNSUITABLE):
+                yield f'{label}: {texts_of(finding).message.rstrip(".")}'
     for each in comparison.differences.items():
         yield _sentence(comparison, *each)
     for each in comparison.differences.items() if comparison.within else ():

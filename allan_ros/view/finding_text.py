@@ -132,12 +132,15 @@ def _filled(
 
 
 def _text_of(values: Sequence[Any], spec: str, units: str, spelled: Callable[[str], str]) -> str:
-    """Return one value as text, or several values as a list or a range."""
+    """Return one value as text, or several values as a list or a range.
+
+    A list keeps the order of the values, so that the lists of a frequency and of its alias agree.
+    """
     if all(isinstance(value, Estimate) for value in values):
         return _quantities_text(values, int(spec.lstrip('QNBKRsignal') or 3), units, spelled)
     if isinstance(values[0], tuple):
         return ', '.join(f'{q.name} {_text_of([q], spec, units, spelled)}' for q in values[0])
-    distinct_texts = dict.fromkeys(_plain_text(value, spec) for value in sorted(values))
+    distinct_texts = dict.fromkeys(_plain_text(value, spec) for value in values)
     if (
         1 < len(distinct_texts) <= MOST_VALUES
         and ' ' not in ''.join(distinct_texts)

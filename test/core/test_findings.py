@@ -86,11 +86,11 @@ def test_findings_are_in_the_order_of_their_consequence():
         finding('gyro_unit', n=1.0, rate=1.0),
         Finding('unknown', 'error'),
         finding('bias_steps', ('gyro_x',), size=1.0, share=0.5, at='3 h'),
-        finding('lack_of_fit', ('accel_x',), low=1.0, high=2.0, deviation=0.3),
+        finding('lack_of_fit', ('accel_x',), frequency=1.0, deviation=0.3),
         finding('vibration', ('gyro_x',), frequency=1.0, amplitude=1.0),
         finding('settling', ('gyro_x',), size=1.0, time=60.0),
         Finding('unknown', 'warning'),
-        finding('lack_of_fit', ('accel_x',), low=1.0, high=2.0, deviation=0.01),
+        finding('lack_of_fit', ('accel_x',), frequency=1.0, deviation=0.01),
         finding('level_changes', ('gyro_x',), which='here', value=1.0, low=0.99, high=1.003),
         Finding('unknown', 'info'),
     ]

@@ -10,6 +10,7 @@ import pytest
 from support.exports import with_process
 
 from allan_ros.core.errors import AllanError
+from allan_ros.core.noise.model import Model
 from allan_ros.export import TARGETS, ExportOptions, make_export, target_of
 from allan_ros.export.own_file import against, file_models, verdicts
 from allan_ros.results.results import Results
@@ -101,3 +102,13 @@ def test_absent_axes_are_not_compared(known_results: Results) -> None:
     gyro = {name: axis for name, axis in known_results.axes.items() if name.startswith('gyro')}
     drifts = against(replace(known_results, axes=gyro), target_of('kalibr'), text)
     assert {drift.axis for drift in drifts} == set(gyro)
+
+
+def test_results_without_noise_cannot_be_compared(known_results: Results) -> None:
+    text = make_export(known_results, 'kalibr').text
+    axes = {
+        name: replace(axis, fit=replace(axis.fit, model=Model.of()))
+        for name, axis in known_results.axes.items()
+    }
+    with pytest.raises(AllanError, match='record longer at rest'):
+        against(replace(known_results, axes=axes), target_of('kalibr'), text)

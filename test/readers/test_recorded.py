@@ -144,6 +144,8 @@ def test_wrong_topics_are_rejected(tmp_path: Path) -> None:
     table.write_text('t,gx\n0,1\n')
     with pytest.raises(AllanError, match='is not a bag: omit --accel-topic'):
         read(table, accel_topic=ACCEL)
+    with pytest.raises(AllanError, match='has no topics: omit --topic'):
+        read(table, topic=GYRO)
 
 
 def test_the_joined_signal_has_every_sample_of_the_accelerometer() -> None:

@@ -13,6 +13,7 @@ from support.exports import scaled
 from allan_ros.core.check import worst_verdict
 from allan_ros.core.errors import AllanError
 from allan_ros.core.estimate import Estimate
+from allan_ros.core.findings import finding
 from allan_ros.core.fit.result import TERMS
 from allan_ros.readers.files import to_json
 from allan_ros.results.comparison import (
@@ -107,6 +108,23 @@ def test_runs_without_numbers(small_results: Results) -> None:
     }
     empty = replace(small_results, axes=axes)
     assert text_of(compared(empty, empty)) == 'b and a have no quantity that can be compared'
+
+
+def test_the_largest_difference_can_be_a_limit(small_results: Results) -> None:
+    gyro_x = small_results.axes['gyro_x']
+    below = Estimate(None, None, 1e-3 * gyro_x.fit.noise['N'].value, 'not_observable', name='N')
+    fit = replace(gyro_x.fit, noise={**gyro_x.fit.noise, 'N': below})
+    unresolved = replace(
+        small_results, axes={**small_results.axes, 'gyro_x': replace(gyro_x, fit=fit)}
+    )
+    text = text_of(compared(unresolved, scaled(small_results, 1.5)))
+    assert 'most in gyro x N: > ' in text
+
+
+def test_a_recording_in_motion_is_named_first(small_results: Results) -> None:
+    moved = replace(small_results, findings=(finding('not_noise', ('gyro_x', 'gyro_z')),))
+    first, *others = text_of(compared(small_results, moved)).split('\n')
+    assert first.startswith('b: This is not a noise recording: ') and len(others) == 1
 
 
 def test_labels_are_short_if_they_are_unique() -> None:

@@ -137,10 +137,19 @@ def test_few_different_frequencies_are_listed_and_not_read_as_a_band():
         (merged,) = grouped(found)
         return texts_of(merged).message.partition(' Hz')[0]
 
-    assert said(31.4, 19.1, 19.1) == 'Vibration at 19.1 and 31.4'
-    assert said(31.4, 19.1, 25.0) == 'Vibration at 19.1, 25 and 31.4'
+    assert said(31.4, 19.1, 19.1) == 'Vibration at 31.4 and 19.1'
+    assert said(31.4, 19.1, 25.0) == 'Vibration at 31.4, 19.1 and 25'
     assert said(19.1, 19.3) == 'Vibration at 19.1 to 19.3'
     assert said(10.0, 20.0, 30.0, 40.0) == 'Vibration at 10 to 40'
+
+
+def test_aliases_are_listed_in_the_order_of_their_frequencies():
+    (merged,) = grouped(
+        finding('vibration', (axis,), frequency=frequency, alias=100.0 - frequency, amplitude=1e-3)
+        for axis, frequency in (('gyro_x', 40.0), ('gyro_y', 48.0))
+    )
+    said = texts_of(merged).message
+    assert said.startswith('Vibration at 40 and 48 Hz (or an alias of 60 and 52 Hz)')
 
 
 def test_a_document_has_the_texts_in_its_units():

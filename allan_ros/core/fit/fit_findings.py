@@ -109,9 +109,10 @@ def with_deviations(model: NoiseModel, curve: AllanCurve) -> NoiseModel:
         axes[name] = replace(fit, deviation=largest_deviation(line, curve.axis(i)))
         if fit.lack_of_fit:
             worst = max(fit.lack_of_fit, key=lambda each: abs(math.log(each.ratio)))
-            edges = {'low': worst.low, 'high': worst.high}
             relative_deviation = math.sqrt(worst.ratio) - 1.0
-            found.append(finding('lack_of_fit', (name,), deviation=relative_deviation, **edges))
+            found.append(
+                finding('lack_of_fit', (name,), frequency=worst.low, deviation=relative_deviation)
+            )
     return replace(model, axes=axes, findings=(*model.findings, *merge_equal(found)))
 
 
