@@ -32,7 +32,6 @@ import numpy as np
 from ..findings import Finding, finding
 from ..imu import Flags, Floats, ImuBatch, joined
 from ..settings import SegmenterSettings
-from .disturbances import SPIKE_NEIGHBORS, without_spikes
 from .health import Counts, Event, Longest, State
 from .noise_floor import (
     EXAMINED,
@@ -46,7 +45,7 @@ from .noise_floor import (
 from .noise_levels import Change, NoiseLevels, NoiseRatios
 from .present_faults import present_faults
 from .recent_windows import RecentWindows, WindowPart
-from .rest_filter import RestFilter, count_samples
+from .rest_filter import SPIKE_NEIGHBORS, RestFilter, without_spikes
 from .sensors import clipped_shares
 
 WINDOW_S = 0.5
@@ -212,7 +211,7 @@ class MotionGate:
         """Add consecutive blocks, and return the samples that are confirmed to be at rest."""
         for block in blocks:
             while self._levels.present.floor is None and len(block):
-                number_missing = BLOCK_WINDOWS * self.size - count_samples(self._learning)
+                number_missing = BLOCK_WINDOWS * self.size - sum(map(len, self._learning))
                 self._learning.append(block.part(slice(number_missing), block.cut))
                 if len(block) >= number_missing:
                     self._learn()

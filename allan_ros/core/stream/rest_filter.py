@@ -1,27 +1,256 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Passes on the windows of an IMU at rest, excludes motions with a margin, and replaces shocks.
+"""Passes on the windows of an IMU at rest, excludes motions, and replaces spikes and shocks.
 
-A motion begins with a window above the limits of the noise floor, and ends after some windows below
-lower limits. The windows of a motion that may be a shock are held until the motion ends.
+Method
+------
+An isolated spike is replaced by the mean of its neighbors. A motion begins with a window above the
+limits of the noise floor, and ends after some windows below lower limits. A shock is a short motion
+that does not change the mean of any axis. A shock is replaced by a line between the means before
+and after it, so that the segment continues. The windows of a motion that may be a shock are held
+until the motion ends. `ImuBatch.filled` marks replaced samples.
 """
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Iterable
+from collections import Counter, deque
 
 import numpy as np
 
-from ..imu import Flags, Floats, ImuBatch
-from .disturbances import LEAST_LEVEL, LONGEST_SHOCK_S, Motion, RestLevel
+from ..imu import Flags, Floats, ImuBatch, joined
 from .health import Counts, Event, Longest
-from .noise_floor import NoiseFloor, WindowClass, Windows, is_stuck
+from .noise_floor import (
+    LEAST_WINDOW,
+    MAD_TO_SIGMA,
+    TILT,
+    NoiseFloor,
+    WindowClass,
+    Windows,
+    is_stuck,
+)
 from .noise_levels import Change, NoiseLevels
+
+SPIKE_SIGMAS = 7.0
+"""An isolated sample is a spike if it deviates from the median of its window by more than this
+number of standard deviations of the noise floor. At 100 Hz, 1e-10 of the samples of white noise
+deviate that much. Their replacement changes the variance by less than the fraction 1e-8."""
+
+SPIKE_NEIGHBORS, NEIGHBOR_RATIO = 4, 0.6
+"""Number of samples that are examined on each side of a spike, and largest deviation of an
+undisturbed sample, as a fraction of the smallest spike. A spike is isolated if neither of its two
+direct neighbors, and at most one other examined sample, deviates more. In a shock, more samples
+deviate."""
+
+LONGEST_SHOCK_S = 10.0
+"""Longest shock in s."""
+
+LEVEL_WINDOWS, LEAST_LEVEL = 4, 2
+"""Largest and smallest number of windows on each side of a motion whose means are compared."""
+
+LEVEL_SIGMAS = 5.0
+"""A difference between the means before and after a motion is attributed to noise unless it exceeds
+this number of standard deviations of the difference."""
+
+CHANGED_DIRECTION, NO_ROTATION = np.radians(30.0), np.radians(6.0)
+"""Angles in rad. The axes of the accelerometer have changed if the measured direction of gravity
+changes by more than the first angle, while the gyro measures a rotation by less than the second."""
+
+REPLACED_SHOCK_SHARE = 0.5
+"""Largest number of samples of shocks that are replaced in a segment, as a fraction of its samples
+at rest."""
 
 MARGIN_BEFORE, MARGIN_AFTER_S = 1, 2.0
 """Number of windows at rest before a motion, and time in s at rest after a motion, that are
 excluded."""
+
+
+def without_spikes(
+    block: ImuBatch, size: int, before: Floats, after: Floats, floor: NoiseFloor
+) -> tuple[ImuBatch, Windows, int]:
+    """Replace each isolated spike by the mean of the two samples next to it.
+
+    ``size`` is the number of samples in a window. ``before`` and ``after``, (axes, n), are up to
+    `SPIKE_NEIGHBORS` samples on either side of the block. Returns the block, the statistics of its
+    windows, and the number of replaced values. On axes with heavy tails, the spikes stay in the
+    block, and are removed only from the statistics. No sample is replaced if ``size`` is below
+    `LEAST_WINDOW`, or on an axis in a window in which more than a few samples deviate.
+    """
+    rows = block.rows
+    windows = Windows.of(rows, size)
+    threshold = SPIKE_SIGMAS * np.sqrt(floor.scale)
+    has_peak = (windows.peak > threshold[:, None]) & (threshold > 0.0)[:, None]
+    if not has_peak.any() or size < LEAST_WINDOW:
+        return block, windows, 0
+    axes, window_at = np.nonzero(has_peak)
+    samples = rows.reshape(len(rows), -1, size)[axes, window_at]
+    median = np.median(samples, axis=1)
+    sigma = MAD_TO_SIGMA * np.median(np.abs(samples - median[:, None]), axis=1)
+    # where the noise exceeds the noise floor significantly, the threshold of a spike is higher
+    has_more_noise = SPIKE_SIGMAS * sigma > (1.0 + 5.0 / np.sqrt(size)) * threshold[axes]
+    height = np.where(has_more_noise, SPIKE_SIGMAS * sigma, threshold[axes])
+    deviates = np.abs(samples - median[:, None]) > height[:, None]
+    # if more than a few samples deviate, the IMU moves, and no sample is replaced
+    has_few_spikes = np.count_nonzero(deviates, axis=1) <= 1 + size // LEAST_WINDOW
+    extended_rows = np.concatenate([before, rows, after], axis=1)
+    cleaned = rows.copy()
+    is_spike = np.zeros(rows.shape, bool)
+    for n, k in zip(*np.nonzero(deviates & has_few_spikes[:, None])):
+        axis, i = axes[n], window_at[n] * size + k
+        values, j = extended_rows[axis], i + before.shape[1]
+        begin = max(0, j - SPIKE_NEIGHBORS)
+        deviation = np.abs(values[begin : j + SPIKE_NEIGHBORS + 1] - median[n])
+        if _is_isolated(deviation > NEIGHBOR_RATIO * height[n], j - begin):
+            cleaned[axis, i] = 0.5 * (values[j - 1] + values[j + 1])
+            is_spike[axis, i] = True
+    changed = is_spike.any(axis=0).reshape(-1, size).any(axis=1)
+    if not changed.any():
+        return block, windows, 0
+    cleaned_windows = cleaned.reshape(len(rows), -1, size)[:, changed].reshape(len(rows), -1)
+    windows.values[:, :, changed] = Windows.of(cleaned_windows, size).values
+    is_spike[floor.heavy] = False
+    former_filled = 0 if block.filled is None else block.filled
+    filled = np.where(is_spike, 1, former_filled).astype(np.int32)
+    replaced = np.where(is_spike, cleaned, rows)
+    block = ImuBatch.of_rows(block.stamps_ns, replaced, block.cut, filled)
+    return block, windows, int(np.count_nonzero(is_spike))
+
+
+def _is_isolated(deviates: Flags, i: int) -> bool:
+    """Return whether a spike is isolated.
+
+    ``deviates``, (n,), flags the samples that deviate from the median, and ``i`` is the index of
+    the spike. A spike is isolated if it has two direct neighbors, neither of them is flagged, and
+    at most one other sample is flagged.
+    """
+    has_neighbors = 0 < i < len(deviates) - 1
+    return (
+        has_neighbors
+        and not (deviates[i - 1] or deviates[i + 1])
+        and int(np.count_nonzero(deviates)) <= 2
+    )
+
+
+class RestLevel:
+    """Means of the last windows at rest in a segment, and numbers of samples of the segment.
+
+    ``rest`` is the number of samples at rest, and ``replaced`` the number of replaced samples.
+    """
+
+    def __init__(self) -> None:
+        self.rest = self.replaced = 0
+        # one more window than is compared, because the last window before a motion is not used
+        self._means: deque[Floats] = deque(maxlen=LEVEL_WINDOWS + 1)
+
+    def add(self, means: Floats, size: int) -> None:
+        """Add the means, (axes, k), of windows of ``size`` samples, in the unit of the samples."""
+        self.rest += means.shape[1] * size
+        self._means.extend(means[:, -LEVEL_WINDOWS - 1 :].T)
+
+    def before(self) -> Floats:
+        """Return the means of the last windows, except for the very last one, (k, axes).
+
+        They are the means before a motion that begins now; the result is empty if there are none.
+        """
+        return np.array(list(self._means)[:-1])
+
+
+class Motion:
+    """A motion that begins at the stamp ``began_ns`` in ns, and its windows up to now.
+
+    ``kind`` is the kind of the `Event` of the motion. ``level`` contains the means of the segment
+    before the motion, and is None if the motion is known to be no shock.
+    """
+
+    def __init__(self, kind: str, began_ns: int, level: RestLevel | None = None) -> None:
+        self.kind = kind
+        self.began_ns, self.ended_ns = began_ns, began_ns
+        self.level = level
+        self.windows = 0  # number of windows of the motion
+        self.quiet = 0  # number of quiet windows at the end of the motion (see `WindowClass`)
+        self.steady = 0  # number of quiet or only rotating windows at the end of the motion
+
+        # whether the axes of the accelerometer were exchanged, or changed their signs
+        self.axes_changed = False
+        # means of the last windows before the motion, (k, axes)
+        self.before = level.before() if level is not None else np.empty((0, 0))
+        # means of the latest windows of the motion, (axes,) each
+        self._after: deque[Floats] = deque(maxlen=LEVEL_WINDOWS)
+        self._samples = 0  # number of samples of the motion
+        self._total: float | Floats = 0.0  # sum of the samples of the motion, (axes,)
+
+    def add(self, window: ImuBatch, mean: Floats, found: WindowClass) -> None:
+        """Add the next window with its mean, (axes,), and its flags."""
+        self.quiet = self.quiet + 1 if found.quiet else 0
+        self.steady = self.steady + 1 if found.quiet or found.rotating else 0
+        if not found.quiet:
+            self.ended_ns = int(window.stamps_ns[-1])
+        self._after.append(mean)
+        self.windows += 1
+        self._samples += len(window)
+        self._total = self._total + len(window) * mean
+
+    def change(self, floor: NoiseFloor) -> Floats:
+        """Return the change of the mean of each axis due to the motion, (axes,).
+
+        The change is in the unit of the samples. It is 0 if noise explains the change, and NaN if
+        the mean before or after the motion is not known.
+        """
+        counts = len(self.before), min(self.quiet, len(self._after))
+        if min(counts) < LEAST_LEVEL:
+            return np.full(len(floor.mean), np.nan)
+        mean_after = np.array(list(self._after)[-counts[1] :]).mean(axis=0)
+        step = np.maximum(np.sqrt(2.0 / floor.size * floor.scale), floor.step)
+        limit = LEVEL_SIGMAS * np.sqrt(0.5 / counts[0] + 0.5 / counts[1]) * step
+        limit += np.where(floor.variance < 0.25 * floor.lsb**2, floor.lsb, 0.0)
+        change = mean_after - self.before.mean(axis=0)
+        return np.asarray(np.where(np.abs(change) > limit, change, 0.0))
+
+    def finds_other_axes(self, floor: NoiseFloor, period_s: float) -> bool:
+        """Return whether this call is the first that finds changed axes of the accelerometer.
+
+        The axes changed if gravity has another direction in the steady windows at the end than
+        before the motion, although the gyro has measured no rotation since the motion began.
+        """
+        gyro, counts = floor.gyro, (len(self.before), min(self.steady, len(self._after)))
+        if self.axes_changed or min(counts) < LEAST_LEVEL:
+            return False
+        if np.count_nonzero(gyro) < 3 or np.count_nonzero(~gyro) < 3:
+            return False
+        mean_before = self.before.mean(axis=0)
+        mean_after = np.array(list(self._after)[-counts[1] :]).mean(axis=0)
+        turned_rad = np.linalg.norm((self._total - self._samples * mean_before)[gyro]) * period_s
+        norms = np.linalg.norm(mean_before[~gyro]) * np.linalg.norm(mean_after[~gyro])
+        cosine = mean_before[~gyro] @ mean_after[~gyro] / norms if norms else 1.0
+        self.axes_changed = bool(turned_rad < NO_ROTATION and cosine < np.cos(CHANGED_DIRECTION))
+        return self.axes_changed
+
+    def replaced(self, held: list[ImuBatch], floor: NoiseFloor, period_s: float) -> list[ImuBatch]:
+        """Return the windows of a shock with replaced samples; empty if the motion is no shock.
+
+        The result is also empty if more than the share `REPLACED_SHOCK_SHARE` of the samples of the
+        segment would be replaced.
+        ``held`` contains the last window before the motion and all windows of the motion. Of the
+        quiet windows at the end, only the first is replaced.
+        """
+        if self.level is None or self.change(floor).any():
+            return []
+        # means of the quiet windows at the end, except for the first, which is replaced
+        means_after = list(self._after)[1 - self.quiet :]
+        number = min(len(self.before), len(means_after))
+        first_mean, last_mean = (
+            np.mean(w, axis=0) for w in (self.before[-number:], means_after[:number])
+        )
+        turned_rad = (self._total - self._samples * first_mean)[floor.gyro] * period_s
+        block = joined(held[: 1 - self.quiet])
+        n = len(block)
+        most_replaced = REPLACED_SHOCK_SHARE * self.level.rest - self.level.replaced
+        if np.linalg.norm(turned_rad) > TILT or n > most_replaced:
+            return []
+        fraction = np.arange(1, n + 1) / (n + 1)
+        rows = first_mean[:, None] + (last_mean - first_mean)[:, None] * fraction
+        self.level.replaced += n
+        filled = np.full(rows.shape, number * floor.size, np.int32)
+        return [ImuBatch.of_rows(block.stamps_ns, rows, block.cut, filled), *held[1 - self.quiet :]]
 
 
 class RestFilter:
@@ -112,7 +341,7 @@ class RestFilter:
 
     def drop(self, samples: list[ImuBatch], cut: str) -> None:
         """Exclude samples of a motion before a noise floor is known."""
-        self._counts.moving += count_samples(samples)
+        self._counts.moving += sum(map(len, samples))
         if self.motion is None:
             self.motion = Motion(cut, int(samples[0].stamps_ns[0]))
             self._splits[cut] += 1
@@ -128,7 +357,7 @@ class RestFilter:
         """Exclude the windows of the present motion, if any, because it is no shock."""
         motion = self.motion
         if motion is not None and motion.level is not None:
-            self._counts.moving += count_samples(self._held)
+            self._counts.moving += sum(map(len, self._held))
             self._splits[motion.kind] += 1
             self._cut = self._cut or motion.kind
             motion.level, self._held = None, []
@@ -223,8 +452,3 @@ class RestFilter:
 
     def _forget_level(self) -> None:
         self._level, self._last_mean = RestLevel(), np.full(len(self._axes), np.nan)
-
-
-def count_samples(blocks: Iterable[ImuBatch]) -> int:
-    """Return the number of samples of all blocks."""
-    return sum(map(len, blocks))
