@@ -205,17 +205,17 @@ def temperature_rows(noise: FilterNoise) -> Iterator[Row]:
                 (getattr(m, coefficient), getattr(m, f'{coefficient}_ci95'))
                 for m in models.values()
             ]
-            is_written = [not i or model.resolved for model in models.values()]
+            are_written = [not i or model.resolved for model in models.values()]
             axis_texts = (
                 f'{name} {significant(value, VALUE_DIGITS)}, 95 % interval '
                 f'{significant(low, LIMIT_DIGITS)}..{significant(high, LIMIT_DIGITS)}'
-                f'{"" if is_known else " (not resolved: written as 0)"}'
-                for name, is_known, (value, (low, high)) in zip(
-                    models, is_written, values_and_intervals
+                f'{"" if is_written else " (not resolved: written as 0)"}'
+                for name, is_written, (value, (low, high)) in zip(
+                    models, are_written, values_and_intervals
                 )
             )
             values = rounded(
-                [value if w else 0.0 for w, (value, _) in zip(is_written, values_and_intervals)]
+                [value if w else 0.0 for w, (value, _) in zip(are_written, values_and_intervals)]
             )
             widest_interval = max(
                 (ends for _, ends in values_and_intervals), key=lambda ends: ends[1] - ends[0]

@@ -246,7 +246,9 @@ class FilterNoise:
         """Return the row of a parameter of the Gauss-Markov processes of x, y and z.
 
         The parameter is sigma, tau or the driving density. The process of an axis is chosen so that
-        its error growth is closest to the error growth due to the drift of the axis.
+        its error growth is closest to the error growth due to the drift of the axis, and, unless
+        `Target.bound` is False, never smaller. If all axes have one correlation time, only sigma is
+        chosen.
         """
         axes = self.axes_of(key.sensor)
         has_common_tau = any(each.what == 'common_tau' for each in self.target.keys)

@@ -33,7 +33,8 @@ ROUNDING_TOLERANCE = 0.01
 """Largest relative difference between two drifts that can be due to rounded numbers in a file."""
 
 SMALLEST_STD, LARGEST_STD = 1e-30, 1e15
-"""Range of accepted numbers in a file, in any unit. The square of an accepted number is finite."""
+"""Range of accepted numbers in a file, in any unit; K may also be 0. The square of an accepted
+number is finite."""
 
 COMMENT_PATTERN = re.compile(r'(?m)^\s*(?:#|//).*|(?s:/\*.*?\*/)|"[^"\n]* [^"\n]*"')
 """Pattern of comments in YAML, Python and JSON, and of quoted strings that contain a space."""

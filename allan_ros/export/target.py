@@ -311,15 +311,16 @@ def xml_form(rows: Sequence[Row], header: Sequence[str]) -> str:
 
 
 def _elements(tree: dict[str, Value], depth: int = 0) -> list[str]:
-    lines, margin = [], ' ' * INDENT * depth
+    lines, indentation = [], ' ' * INDENT * depth
     for key, value in tree.items():
         if key.startswith('@'):
             continue
         if not isinstance(value, dict):
-            lines.append(f'{margin}<{key}>{value}</{key}>')
+            lines.append(f'{indentation}<{key}>{value}</{key}>')
             continue
         attributes = ''.join(f' {k[1:]}="{v}"' for k, v in value.items() if k.startswith('@'))
-        lines += [f'{margin}<{key}{attributes}>', *_elements(value, depth + 1), f'{margin}</{key}>']
+        lines.append(f'{indentation}<{key}{attributes}>')
+        lines += [*_elements(value, depth + 1), f'{indentation}</{key}>']
     return lines
 
 
@@ -343,7 +344,7 @@ _Dumper.add_representer(
 
 def yaml_form(rows: Sequence[Row], header: Sequence[str], first: str = '') -> str:
     """Return a YAML file that begins with the text ``first``, followed by the header."""
-    tree: str = yaml.dump(
+    yaml_text: str = yaml.dump(
         nested(rows),
         Dumper=_Dumper,
         width=10**6,
@@ -351,7 +352,7 @@ def yaml_form(rows: Sequence[Row], header: Sequence[str], first: str = '') -> st
         sort_keys=False,
         indent=INDENT,
     )
-    return first + ''.join(f'# {line}\n' for line in header) + tree
+    return first + ''.join(f'# {line}\n' for line in header) + yaml_text
 
 
 opencv_form = partial(yaml_form, first='%YAML:1.0\n')

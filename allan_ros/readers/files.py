@@ -284,7 +284,7 @@ def parse_yaml(text: str) -> Any:
         return loader.get_single_data()
     except RecursionError:
         raise yaml.YAMLError('it is nested too deeply') from None
-    except ValueError as error:  # such as a date that does not exist
+    except (ValueError, LookupError, AttributeError) as error:  # such as a date that does not exist
         raise yaml.YAMLError(str(error)) from error
     finally:
         loader.dispose()

@@ -22,6 +22,7 @@ import numpy as np
 from ..core.allan.at_rest import at_rest, rounding_step, turn_on_bias
 from ..core.allan.curve import AllanCurve, allan_curve
 from ..core.allan.sums import AllanSums
+from ..core.errors import AllanError
 from ..core.findings import Finding
 from ..core.fit.fit_findings import not_noise_findings, with_deviations
 from ..core.fit.model_curve import dominant_regions
@@ -70,8 +71,8 @@ def _limit() -> None:
     """Limit OpenBLAS to one thread, and register in `_restore` how to undo this."""
     import scipy.linalg  # noqa: F401  # loads another BLAS library than numpy
 
-    for get, set_number in _openblas():
-        _restore.callback(set_number, get())
+    for get_number, set_number in _openblas():
+        _restore.callback(set_number, get_number())
         set_number(1)
 
 
@@ -116,6 +117,8 @@ def analyze_recorded(
     AllanError
         When the method is unknown, or there are too few data at rest.
     """
+    if not recorded.sums:
+        raise AllanError('there are no Allan sums: record the IMU at rest for some minutes')
     skip = recorded.provenance.settings.get('skip', AUTO)
     may_exclude = isinstance(skip, (int, float)) and skip < 0.0
     fitted = [fit_stationary(s, method, may_exclude) for s in recorded.sums]

@@ -47,8 +47,7 @@ class AxisResult:
         Name of the axis, such as 'gyro_z'.
     rounding : float or None
         Step to which the samples are rounded, in SI; None if no step is found, or if the variance
-        of its rounding error is less than a tenth of the variance of the white noise, or exceeds
-        it by 5 %.
+        of the rounding error is at most 10 % or at least 105 % of the variance of the white noise.
     turn_on : TurnOnBias or None
         Scatter of the bias between recordings; None for fewer than two recordings.
     temperature : TemperatureModel or None
@@ -110,12 +109,12 @@ class AxisResult:
 
     @property
     def processes(self) -> Model:
-        """Noise processes that were fitted in addition to the five terms, such as sinusoids.
+        """Noise processes that were fitted in addition to the five terms, or instead of a term.
 
         Each item of ``processes['gauss_markov']`` or ``processes['sinusoid']`` has a ``value`` in
         SI (a standard deviation or an amplitude) and the 95 % interval ``ci95`` of this value. The
-        ``process`` of the item has the parameters of its shape: ``correlation_time`` in s, or
-        ``frequency`` in Hz. ``shape_ci95`` contains the 95 % intervals of these parameters.
+        ``process`` of the item has shape parameters: ``correlation_time`` in s, or ``frequency`` in
+        Hz. ``shape_ci95`` contains the 95 % intervals of these parameters.
 
         Examples
         --------
@@ -287,12 +286,12 @@ def adev(samples: ArrayLike, rate: float = 1.0) -> AxisCurve:
         raise AllanError(
             f'{unusable_rows} of {len(table)} samples are NaN or infinite: remove them'
         )
-    engine = RunningSums(axes=tuple(f'column {i}' for i in range(table.shape[1])))
+    running_sums = RunningSums(axes=tuple(f'column {i}' for i in range(table.shape[1])))
     if len(table):
         # the sample period is 1 s here, because stamps in ns would round a very short period
-        engine.update(table, 0, (len(table) - 1) * NANOSECONDS)
-    engine.end_segment()
-    curve = allan_curve(engine.sums)
+        running_sums.update(table, 0, (len(table) - 1) * NANOSECONDS)
+    running_sums.end_segment()
+    curve = allan_curve(running_sums.sums)
     curve_arrays = (curve.adev, curve.ci_low, curve.ci_high)
     deviation, low, high = (c[:, 0] if values.ndim == 1 else c for c in curve_arrays)
     return AxisCurve(curve.m, curve.m / float(rate), curve.n, deviation, low, high)

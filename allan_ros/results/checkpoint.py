@@ -59,7 +59,8 @@ class Checkpoint:
     earlier : (sums, provenance)
         Content of the file when the present run began: the sums of all earlier runs.
     loaded : Finding or None
-        Finding about a problem of the file when it was loaded; None without a problem.
+        Finding that the file was renamed, because it was damaged, or because its sums had a wrong
+        unit of measurement; None if it was not renamed.
     refused : Finding or None
         The reason why the file cannot be replaced at present.
     """
@@ -234,7 +235,7 @@ class Checkpoint:
         self._log.warning(str(self.loaded))
 
     def _move_wrong_unit(self) -> None:
-        """Rename the file if possible, and do not add its sums to the present sums any more."""
+        """Rename the file if possible, and no longer add its sums to the present sums."""
         self._collect()
         new_path = Path(f'{self.path}.previous')
         if self._owned and os.path.lexists(self.path):
@@ -256,7 +257,7 @@ class Checkpoint:
             ) from error
 
     def _clear(self) -> None:
-        """Forget the content of the file: there are no sums of earlier runs any more."""
+        """Forget the content of the file, so that there are no sums of earlier runs."""
         self.earlier = self._content = NOTHING
         self.refused = None
 

@@ -120,11 +120,11 @@ def common_of(recordings: Mapping[str, Recording], settings: SegmenterSettings) 
     for row in rows if len(samples_of_imus) > 1 else ():
         if len(row.coherence.tau) and row.coherence.high.min() < OPPOSITE:
             coherence = float(row.coherence.value[np.argmin(row.coherence.high)])
-            opposite = finding('axis_opposite', (row.axis,), coherence=coherence)
-            findings[row.label] = (*findings[row.label], opposite)
+            opposite_finding = finding('axis_opposite', (row.axis,), coherence=coherence)
+            findings[row.label] = (*findings[row.label], opposite_finding)
             opposite_axes.add(row.axis)
     for row in rows:
         if row.measured is not None and row.own is None and row.axis not in opposite_axes:
-            unequal = finding('unequal_transfer', (row.axis,), share=row.leak)
-            findings[row.label] = (*findings[row.label], unequal)
+            unequal_finding = finding('unequal_transfer', (row.axis,), share=row.leak)
+            findings[row.label] = (*findings[row.label], unequal_finding)
     return CommonResult(tuple(rows), findings)

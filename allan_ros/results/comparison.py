@@ -211,7 +211,8 @@ class Inflation:
     def option(self) -> str:
         """Value of the option ``--inflate`` of ``allan export``, such as 'gyro=2.1,accel=3.4'.
 
-        Each factor is the largest factor by which motors increase N on an axis of the sensor.
+        Each factor is the largest factor by which motors increase N on an axis of the sensor, and
+        at least 1.
         """
         factors = {sensor_of(name): 1.0 for name in self.axes}
         for name, axis in self.axes.items():

@@ -148,7 +148,7 @@ class Datasheet:
     remark : str
         A remark for the user; '' for none.
     carries : str
-        Name of the sensor in a product, such as a camera; '' if the IMU is the sensor itself.
+        Name of the sensor in a product such as a camera; '' if the IMU is the sensor itself.
     measured : tuple of Measured
         Noise that was measured with IMUs of this model.
 

@@ -59,10 +59,10 @@ MAX_SETTINGS = 100
 """Largest number of settings in a document, and of items in a setting that is a list."""
 
 FIT = ('m_min', 'filtered', 'white_scatter', 'drift_scatter', 'gof_z', 'lack_of_fit')
-"""Fields of `AxisFit` that have the same name in results.json."""
+"""Fields of `AxisFit` that are copied to results.json in a row, under the same names."""
 
 AXIS = ('rounding', 'turn_on', 'temperature', 'at_rest', 'growth')
-"""Fields of `AxisResult` that have the same name in results.json."""
+"""Fields of `AxisResult` that are copied to results.json in a row, under the same names."""
 
 DOCUMENT_KEYS = {
     'correlation_time': 'tau',
@@ -194,13 +194,13 @@ def load(path: str | os.PathLike[str], method: str = 'likelihood') -> Results:
     if not Path(path).is_dir() or not file.is_file():
         return results
     sums: Any = read_json(file)
+    recorded = RecordingSums(str(file), *sums_file_from_document(sums, str(file)))
     if document.get('fingerprint') != fingerprint(sums):
-        # a process was killed after it had written one of the two files
+        # for example, a process was killed after it had written one of the two files
         raise AllanError(
             f'{path}: {RESULTS} and {SUMS} are of different analyses: analyze the recording again, '
             'or give one of the two files'
         )
-    recorded = RecordingSums(str(file), *sums_file_from_document(sums, str(file)))
     return replace(results, recorded=recorded)
 
 

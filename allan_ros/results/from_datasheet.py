@@ -28,8 +28,8 @@ DEFAULT_RATE_HZ = 200.0
 
 CROSSING_S = 10.0
 """Averaging time in s at which flicker noise and white noise are assumed to have equal Allan
-deviations, if a datasheet states no B. This time is 7 to 200 s for the sensors that were measured.
-A shorter time gives a larger B."""
+deviations, if a datasheet states no B. This time is 8 to 190 s for the sensors whose measured N and
+B are in their datasheet files. A shorter time gives a larger B."""
 
 
 def results_of_datasheet(sheet: Datasheet, rate: float = DEFAULT_RATE_HZ) -> Results:

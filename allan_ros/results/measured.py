@@ -45,7 +45,7 @@ def measured_values(results: Results) -> dict[tuple[str, str], Estimate]:
                 sum((estimate.value or 0.0) ** 2 for estimate in axis_estimates)
                 / len(axis_estimates)
             )
-            low, high = min(e[0] for e in intervals), max(e[1] for e in intervals)
+            low, high = min(ends[0] for ends in intervals), max(ends[1] for ends in intervals)
             estimates[sensor, term] = Estimate(rms, (low, high))
     return estimates
 
@@ -113,7 +113,7 @@ def against_measured(sheet: Datasheet, results: Results) -> list[Check]:
         ]
         intervals = [estimate.ci95 for estimate in estimates if estimate.ci95]
         if intervals and value.ci95:
-            low, high = min(end[0] for end in intervals), max(end[1] for end in intervals)
+            low, high = min(ends[0] for ends in intervals), max(ends[1] for ends in intervals)
             verdict: Judgement = 'lower' if value.ci95[1] < low else 'alike'
             verdict = 'higher' if value.ci95[0] > high else verdict
             units = '1 unit' if len(estimates) == 1 else f'{len(estimates)} units'

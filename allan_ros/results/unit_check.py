@@ -130,7 +130,7 @@ def check_unit(results: Results, plan: Plan | None = None) -> UnitCheck:
 def worst(decisions: Sequence[Decision]) -> Decision:
     """Return the decision about a batch: the most severe decision about its IMUs.
 
-    Without IMUs, this is WITHIN.
+    Without IMUs, the result is WITHIN.
 
     >>> worst([Decision.WITHIN, Decision.NOT_JUDGED, Decision.UNREADABLE]).name
     'UNREADABLE'

@@ -95,6 +95,12 @@ def test_slow_documents_are_rejected(text: str) -> None:
         parse_yaml(text)
 
 
+@pytest.mark.parametrize('text', ['2026-02-30', '!!bool x', '!!int ""', '!!timestamp x'])
+def test_a_value_that_contradicts_its_tag_is_an_error_of_the_yaml_file(text: str) -> None:
+    with pytest.raises(yaml.YAMLError):
+        parse_yaml(text)
+
+
 @pytest.mark.parametrize('text', YAML_TRICKS)
 def test_metadata_that_would_fill_the_memory_is_rejected(text: str, tmp_path: Path) -> None:
     (tmp_path / 'metadata.yaml').write_text(text)

@@ -25,6 +25,7 @@ from allan_ros.core.stream.health import Event, Segment
 from allan_ros.readers.files import MAX_BYTES, read_json, to_json
 from allan_ros.readers.recorded import Provenance
 from allan_ros.results.documents import (
+    load,
     results_from_document,
     results_to_document,
     sums_file_from_document,
@@ -55,6 +56,19 @@ def test_the_round_trip_of_results_is_complete(small_results: Results) -> None:
     document = through_text(results_to_document(results))
     again = through_text(results_to_document(results_from_document(document)))
     assert again == document
+
+
+def test_a_sums_json_without_sums_or_of_another_kind_is_rejected(
+    small_results: Results, tmp_path: Path
+) -> None:
+    document = sums_file_to_document((), small_results.provenance)
+    (tmp_path / 'sums.json').write_text(to_json(document))
+    with pytest.raises(AllanError, match='no Allan sums'):
+        load(tmp_path / 'sums.json')
+    (tmp_path / 'results.json').write_text(to_json(results_to_document(small_results)))
+    (tmp_path / 'sums.json').write_text('[1]')
+    with pytest.raises(AllanError, match=r'sums\.json'):
+        load(tmp_path)
 
 
 def test_the_fields_that_others_rely_on_are_there(small_results: Results) -> None:
