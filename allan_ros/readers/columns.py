@@ -356,12 +356,12 @@ def picked_names(where: object, names: tuple[str, ...], pairs: tuple[str, ...]) 
     """Rename columns by pairs such as ``gx=w_x`` (new name, name in the header).
 
     Returns one name per column. A renamed column has the new name, and the unit in brackets in the
-    header unless the new name has one. If the pairs contain an axis, a time, a temperature or an
-    unknown name, all other columns of this kind get the name '-', which excludes them. Further
-    columns keep their names. Raises AllanError when a pair does
-    not match exactly one column; ``where`` is the name of the table in the message.
+    header unless the new name has one. If the pairs contain an axis, a time or a temperature, all
+    other columns of this kind get the name '-', which excludes them. Further columns keep their
+    names. Raises AllanError when a pair does not match exactly one column; ``where`` is the name of
+    the table in the message.
     """
-    groups = {_group(pair.partition('=')[0]) for pair in pairs}
+    groups = {_group(pair.partition('=')[0]) for pair in pairs} - {''}
     renamed = [LEFT_OUT if _group(name) in groups else name for name in names]
     bases = [_base_and_unit(name)[0] for name in names]
     for pair in pairs:

@@ -20,6 +20,7 @@ from allan_ros.cli.main import main
 from allan_ros.core.errors import AllanError
 from allan_ros.core.imu import AXES, STANDARD_GRAVITY, ImuBatch
 from allan_ros.readers import tables, writing
+from allan_ros.readers.columns import picked_names
 from allan_ros.view.finding_text import finding_line
 
 DEG = np.pi / 180
@@ -380,6 +381,12 @@ def test_columns_can_be_picked_by_their_names(tmp_path: Path) -> None:
     np.testing.assert_allclose(back.samples[0, :3], [10 * DEG, 20 * DEG, 30.0])
     assert back.findings == ()
     assert '0 columns (' in refused(path, columns=('t=Clock', 'gx=rate_d'))
+
+
+def test_an_unknown_name_excludes_no_other_column() -> None:
+    names = ('t', 'gx', 'humidity', 'pressure')
+    assert picked_names('a.csv', names, ('wet=humidity',)) == ('t', 'gx', 'wet', 'pressure')
+    assert picked_names('a.csv', names, ('-=humidity',)) == ('t', 'gx', '-', 'pressure')
 
 
 @pytest.mark.parametrize(
