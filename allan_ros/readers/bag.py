@@ -49,7 +49,8 @@ SPLITS = ('.db3', '.mcap', '.db3.zstd', '.mcap.zstd', '.db3.lz4', '.mcap.lz4')
 """Suffixes of the files in the folder of a bag."""
 
 MAX_MESSAGE_BYTES = 2**16
-"""Largest decompressed size of a single message in bytes. An Imu message has less than 2 kB."""
+"""Largest accepted size in bytes of a message that is compressed separately, after decompression.
+An Imu message has less than 2 kB."""
 
 
 if TYPE_CHECKING:

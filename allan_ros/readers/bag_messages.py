@@ -47,7 +47,7 @@ class Topic:
 
 
 Payloads = list[bytes | memoryview] | NDArray[np.void]
-"""Serialized messages: one array if all have the same length, else a list."""
+"""Serialized messages: a list, or an array if all messages have the same length."""
 
 
 @dataclass
@@ -158,7 +158,7 @@ def decompress(data: bytes | memoryview, compression: str, limit: int) -> bytes:
 
 
 def _stated_size(head: bytes | memoryview, compression: str) -> int:
-    """Return the decompressed size that the header of zstd data states; -1 if there is none."""
+    """Return the decompressed size that the header of zstd data states; -1 if no size is stated."""
     return int(_zstd().frame_content_size(head)) if compression == 'zstd' else -1
 
 

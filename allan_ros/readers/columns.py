@@ -227,7 +227,10 @@ def _step(times: NDArray[np.float64]) -> float:
 
 
 def _unit_by_size(times: NDArray[np.float64]) -> str:
-    """Return the unit in which stamps, (n,), are times since 1970; '' if there is no such unit."""
+    """Return the unit in which stamps, (n,), are times since 1970; '' if there is no such unit.
+
+    In this unit, the median of the positive increments must be a plausible sample period.
+    """
     for unit in RECOGNIZED_UNITS:
         unit_ns = STAMP_UNITS[unit]
         is_epoch = EPOCH_S[0] <= times[0] * unit_ns * 1e-9 <= EPOCH_S[1]

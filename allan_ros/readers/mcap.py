@@ -179,7 +179,7 @@ class McapStorage:
         self.topics = list(contents.topics.values())
 
     def counts(self) -> dict[int, int]:
-        """Return topic id -> number of messages in the file."""
+        """Return topic id -> number of messages, as the summary states it or as counted."""
         return dict(self._contents.counted)
 
     def stated(self, ids: set[int], read: int) -> int:

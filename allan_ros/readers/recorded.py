@@ -146,7 +146,7 @@ class RecordingSums:
         return np.concatenate(times)[order], np.concatenate(values)[order]
 
     def with_serial(self, serial: str) -> RecordingSums:
-        """Return a copy with the serial number of the IMU."""
+        """Return a copy in which the IMU has the serial number ``serial``."""
         sums = (replace(s, identity=s.identity._replace(hardware_id=serial)) for s in self.sums)
         return replace(self, sums=tuple(sums))
 

@@ -41,8 +41,8 @@ MAX_CHUNK_BYTES = 128 * 2**20
 chunks of about 1 MB."""
 
 MAX_FILE_RATIO = 250
-"""Largest permitted ratio of the decompressed size of a file to its compressed size. The
-decompressed size may exceed this ratio by `MAX_CHUNK_BYTES`."""
+"""Largest accepted size of a decompressed file: this many times its compressed size, plus
+`MAX_CHUNK_BYTES`."""
 
 Report = Callable[[Finding], None]
 """Function that a reader calls with each finding."""

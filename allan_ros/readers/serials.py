@@ -16,7 +16,7 @@ from .files import open_regular, read_yaml
 from .recording import METADATA, translated
 
 LONGEST_LINE = 100_000
-"""Largest number of bytes that are read from each line of a table."""
+"""Number of bytes after which a line of a table is regarded as ended."""
 
 RULES = 'name:PATTERN, column:NAME or metadata:KEY'
 

@@ -52,7 +52,7 @@ COMMENT_MARK, FRAME_COMMENT = '#', '# frame_id:'
 INT64 = np.iinfo(np.int64)
 
 MAX_LINE = 1 << 20
-"""Largest number of characters in a line of a table."""
+"""Largest number of characters in a line of a table, including the line end."""
 
 QUOTED = re.compile('"[^"]*"')
 """Regular expression for a quoted part of a line."""

@@ -35,9 +35,9 @@ BACKWARD_RUN = 16
 set back. Fewer such samples are excluded."""
 
 JUMP_DISTANCE = 4096
-"""If the clock is set back again within this number of samples, twice as many consecutive earlier
-stamps are needed to recognize the next time; at first, `BACKWARD_RUN` are needed. Otherwise, stamps
-in random order would split the data again and again."""
+"""If the clock is set back again within this number of samples, the number of consecutive earlier
+stamps that show that it was set back is doubled for the next time; at first, this number is
+`BACKWARD_RUN`. Otherwise, stamps in random order would split the data again and again."""
 
 REORDER = 32
 """Largest number of places by which sorting moves a sample that arrived out of order."""

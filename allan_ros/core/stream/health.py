@@ -293,7 +293,10 @@ class RunningMeans:
 
 
 def events(health: StreamHealth) -> Counter[str]:
-    """Return id of a finding -> number of its events since the start, causes before effects."""
+    """Return id of a finding -> number of events or samples that cause it; causes before effects.
+
+    Events and samples are counted since the start.
+    """
     c = health.counts
     return Counter(
         clock_jumps=c.splits['clock jump'],

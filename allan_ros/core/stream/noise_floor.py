@@ -395,7 +395,10 @@ class NoiseFloor:
 
     @cached_property
     def gravity(self) -> float:
-        """Magnitude of the mean specific force; NaN without the three axes of an accelerometer."""
+        """Magnitude of the mean specific force at rest, in the unit of the samples.
+
+        It is NaN without the three axes of an accelerometer.
+        """
         has_three_axes = np.count_nonzero(~self.gyro) == 3
         return float(np.linalg.norm(self.mean[~self.gyro])) if has_three_axes else np.nan
 
@@ -403,8 +406,9 @@ class NoiseFloor:
         """Return which windows are not measurements in the units of this noise floor, (k,).
 
         In such a window, gravity has another magnitude than in the noise floor, or at least the
-        share `IDLE_SHARE` of the samples of a sensor with three axes are zero or repeated.
-        ``rows``, (axes, k * size), are the samples of the windows.
+        share `IDLE_SHARE` of the samples of a sensor are zero or repeated. Only a sensor with three
+        axes, all with noise above the resolution, is searched for such samples. ``rows``,
+        (axes, k * size), are the samples of the windows.
         """
         is_foreign = np.zeros(windows.mean.shape[1], bool)
         for axes in self._known_sensors:
@@ -533,7 +537,8 @@ class NoiseFloor:
         """Return the ratio of the noise of a block at rest to the noise floor, (axes,).
 
         ``rows``, (axes, n), are the samples of the block, and ``block`` are the statistics of its
-        windows. Returns None if no noise has increased, or if the sensor moves.
+        windows. Returns None if no noise has increased, if the sensor moves, or if a ratio is not
+        finite.
         """
         scale = self.scale
         with np.errstate(invalid='ignore', divide='ignore'):

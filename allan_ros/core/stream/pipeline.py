@@ -60,8 +60,8 @@ class ImuStream:
     The sums are the same, bit for bit, however the samples are divided into batches: all decisions
     depend only on the positions of samples counted from the start of the stream, with a fixed
     look-ahead. ``hardware_id`` identifies the IMU if the user states it. ``sensor`` is 'gyro' or
-    'accel' if the other sensor is in another stream; this stream then ignores the values of
-    the other sensor. ``with_samples`` also keeps all samples at rest in memory, and ``with_drives``
+    'accel' if the other sensor is in another stream; this stream then ignores the values of the
+    other sensor. ``with_samples`` also keeps all samples at rest in memory, and ``with_drives``
     the errors of the latest drives between two rests. With ``covered``, each time is counted once:
     samples are excluded if earlier samples cover their time, or if their time is in one of the
     stretches ``covered``, (first, last) stamp in ns.

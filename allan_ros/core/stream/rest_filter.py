@@ -4,11 +4,12 @@
 
 Method
 ------
-An isolated spike is replaced by the mean of its neighbors. A motion begins with a window above the
-limits of the noise floor, and ends after some windows below lower limits. A shock is a short motion
-that does not change the mean of any axis. A shock is replaced by a line between the means before
-and after it, so that the segment continues. The windows of a motion that may be a shock are held
-until the motion ends. `ImuBatch.filled` marks replaced samples.
+An isolated spike is replaced by the mean of its neighbors, unless the noise of the axis has heavy
+tails. A motion begins with a window above the limits of the noise floor, and ends after some
+windows below lower limits. A shock is a short motion that does not change the mean of any axis. A
+shock is replaced by a line between the means before and after it, so that the segment continues.
+The windows of a motion that may be a shock are held until the motion ends. `ImuBatch.filled` marks
+replaced samples.
 """
 
 from __future__ import annotations
@@ -227,8 +228,9 @@ class Motion:
     def replaced(self, held: list[ImuBatch], floor: NoiseFloor, period_s: float) -> list[ImuBatch]:
         """Return the windows of a shock with replaced samples; empty if the motion is no shock.
 
-        The result is also empty if more than the share `REPLACED_SHOCK_SHARE` of the samples of the
-        segment would be replaced.
+        The result is also empty if more samples of shocks than the share `REPLACED_SHOCK_SHARE` of
+        the samples at rest would be replaced in the segment.
+
         ``held`` contains the last window before the motion and all windows of the motion. Of the
         quiet windows at the end, only the first is replaced.
         """

@@ -99,10 +99,11 @@ stamp."""
 
 @dataclass(frozen=True)
 class Clock:
-    """Sample period of a stream, median step between its stamps, and quality of the stamps.
+    """Sample period of a stream, typical step between its stamps, and quality of the stamps.
 
-    Stamps are ``bursty`` if many of them are almost equal. They have ``jitter`` if they scatter
-    so much that the loss of a single sample may look like scatter.
+    ``step_ns`` is in most cases the median step of the first stamps. Stamps are ``bursty`` if many
+    of them are almost equal. They have ``jitter`` if they scatter so much that the loss of a single
+    sample may look like scatter.
     """
 
     period_ns: float
@@ -152,8 +153,9 @@ def learn_clock(stamps: Stamps, polled: bool = False, declared: float = 0.0) -> 
     Backward stamps are ignored. If ``polled`` is set, the messages repeat the samples of a slower
     sensor, and ``stamps`` are the stamps of the messages with a new sample. The steps between these
     stamps are multiples of the period of the messages, and the mean step is the sample period.
-    If samples are missing regularly, the period is the mean step, unless the smallest step agrees
-    with the ``declared`` rate in Hz. Returns None if there are too few different stamps.
+    If samples are missing so regularly that the shortest step is not the period, the shortest step
+    is stored in ``base_ns``, or used as the period if it agrees with the ``declared`` rate in Hz.
+    Returns None if there are too few different stamps.
     """
     if not has_time(stamps):
         return None
@@ -174,11 +176,12 @@ def has_time(stamps: Stamps) -> bool:
 
 
 def _period_of_runs(step: Floats) -> float:
-    """Return the period of evenly stamped runs with pauses between them, or 0 for late samples.
+    """Return the period of evenly stamped runs with pauses between them.
 
-    If a logger records in runs with gaps between them, the steps in each run are the period. If
-    samples arrive late together, the steps in a burst are not the period. Such bursts are short,
-    and the mean step over a burst and the pause before it is the period.
+    The result is 0 if there are no such runs, or if the samples are late. If a logger records in
+    runs with gaps between them, the steps in each run are the period. If samples arrive late
+    together, the steps in a burst are not the period. Such bursts are short, and the mean step over
+    a burst and the pause before it is the period.
     """
     median = float(np.median(step))
     is_near_median = np.abs(step - median) <= EVEN * median
@@ -264,8 +267,8 @@ TRACK_BLOCKS = 16
 """Number of blocks after which the estimated period is updated."""
 
 RATE_CHANGE_STEP = 1.45
-"""The rate has changed if the median step of a block exceeds the median step of the first stamps by
-more than this factor. Single losses do not change the median."""
+"""If stamps are not bursty, the rate has changed if the median step of a block exceeds
+`Clock.step_ns` by more than this factor. Single losses do not change the median."""
 
 RATE_CHANGE_BURSTY = 0.10
 """Relative change of the period over `TRACK_BLOCKS` blocks above which a bursty stream has a new
@@ -350,7 +353,11 @@ class SampleClock:
             self.learned_ns, self._reach = self.clock.period_ns, self.clock.look_ahead
 
     def _process_ready(self, look_ahead: int) -> list[ImuBatch]:
-        """Process complete blocks before the look-ahead, or all samples if the look-ahead is 0."""
+        """Process complete blocks before the look-ahead, or all samples if the look-ahead is 0.
+
+        Returns the processed samples as evenly spaced blocks. Processing ends at a change of the
+        rate.
+        """
         begin, steps = self._processed, [np.empty(0, np.int64)]
         while self.clock is not None and not self.rate_changed:
             ready = len(self._samples) - self._processed - look_ahead
