@@ -31,8 +31,9 @@ import allan_ros as ar
 from allan_ros.core.allan.running import RunningSums
 from allan_ros.core.allan.sums import AllanSums
 from allan_ros.core.estimate import Estimate
-from allan_ros.core.fit.methods import fit_noise
+from allan_ros.core.fit.least_squares import fit_paper
 from allan_ros.core.fit.result import TERMS, AxisFit
+from allan_ros.core.fit.stationary import fit_likelihood
 from allan_ros.core.imu import from_datasheet, shown_unit
 from allan_ros.core.noise import PROCESSES, GaussMarkov, Model
 from allan_ros.core.noise.derived import avar
@@ -388,7 +389,8 @@ def run(scenario: str, runs: int, methods: list[str], keep: Path | None) -> None
     for sums in draws(scenario, runs, keep):
         for method in methods:
             begin = time.process_time()
-            rows[method] += fit_noise(sums, method).axes.values()
+            fit = fit_paper if method == 'paper' else fit_likelihood
+            rows[method] += fit(sums).axes.values()
             spent[method] += time.process_time() - begin
     for method in methods:
         got = rows[method][:runs]

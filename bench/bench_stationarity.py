@@ -27,9 +27,8 @@ from allan_ros.core.allan.sums import AllanSums
 from allan_ros.core.estimate import Z_95
 from allan_ros.core.filters.growth import GROWTH_WINDOW_S, growth_table
 from allan_ros.core.fit import bias_changes
-from allan_ros.core.fit.methods import fit_noise
 from allan_ros.core.fit.result import NoiseModel
-from allan_ros.core.fit.stationary import fit_stationary
+from allan_ros.core.fit.stationary import fit_likelihood, fit_stationary
 from allan_ros.core.fit.statistics import statistics
 from allan_ros.core.imu import AXES, from_datasheet
 from allan_ros.core.noise import Model
@@ -89,7 +88,7 @@ def show_alarms(records: int, seed: int) -> Iterator[tuple[str, ...]]:
         for i in range(records):
             sums = sums_of(draw(terms, 2.0, 10.0, np.random.default_rng([seed, i, k])), 10.0)
             begin = time.process_time()
-            fit_noise(sums)
+            fit_likelihood(sums)
             middle = time.process_time()
             _, model = fit_stationary(sums)
             excess += time.process_time() - middle - (middle - begin)

@@ -15,7 +15,7 @@ from bench_stationarity import DEG_H, HOUR, band, gyro
 from numpy.typing import NDArray
 
 from allan_ros.core.allan.running import RunningSums
-from allan_ros.core.fit.methods import fit_noise
+from allan_ros.core.fit.stationary import fit_likelihood
 from allan_ros.core.fit.temperature import temperature_models
 from allan_ros.core.imu import AXES
 from allan_ros.core.simulator import simulate_axis
@@ -69,7 +69,7 @@ def show(records: int, seed: int) -> Iterator[tuple[str, ...]]:
             measured = celsius[read] + rng.normal(scale=0.02, size=len(read))
             times = np.int64(read / RATE * 1e9)
             sums = engine.sums
-            models, _ = temperature_models(sums, times, measured, fit_noise(sums))
+            models, _ = temperature_models(sums, times, measured, fit_likelihood(sums))
             for axis, m in models.items():
                 level = drift[:, AXES.index(axis)].mean() + B0
                 off = m.reference - CENTER

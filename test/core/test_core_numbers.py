@@ -22,8 +22,8 @@ from allan_ros.core.allan.grid import MAX_LEVELS, MIN_VARIANCE, counts, grid
 from allan_ros.core.allan.periods import Period, RecordedPeriods
 from allan_ros.core.allan.recent import noise_steps
 from allan_ros.core.allan.sums import AllanSums
-from allan_ros.core.fit.methods import fit_noise
-from allan_ros.core.fit.result import METHODS
+from allan_ros.core.fit.least_squares import fit_paper
+from allan_ros.core.fit.stationary import fit_likelihood
 from allan_ros.core.imu import AXES, LARGEST, ImuIdentity
 from allan_ros.core.noise import Model
 
@@ -40,6 +40,9 @@ FORMS = {
 }
 """Kind -> samples, to be scaled to any size."""
 
+FITS = {'likelihood': fit_likelihood, 'paper': fit_paper}
+"""Method -> function that fits all data."""
+
 DECADES = 10**12
 """Samples: 32 years at 1 kHz."""
 
@@ -52,7 +55,7 @@ PERIOD_NS = 10**6
     st.sampled_from(sorted(FORMS)),
     st.sampled_from(SIZES),
     st.sampled_from([1, 2, 3, 17, 60, 400]),
-    st.sampled_from(sorted(METHODS)),
+    st.sampled_from(sorted(FITS)),
     st.lists(st.integers(1, 399), max_size=3),
 )
 def test_samples_of_any_size_give_numbers(
@@ -66,7 +69,7 @@ def test_samples_of_any_size_give_numbers(
         return
     curve = allan_curve(sums)
     assert np.all(curve.adev >= 0.0) and np.all(np.isfinite(curve.adev))
-    for fit in fit_noise(sums, method).axes.values():
+    for fit in FITS[method](sums).axes.values():
         for term, coefficient in fit.noise.items():
             known = (coefficient.value, coefficient.upper95, *(coefficient.ci95 or ()))
             least = -np.inf if term == 'R' else 0.0
@@ -75,7 +78,7 @@ def test_samples_of_any_size_give_numbers(
 
 def test_a_signal_that_repeats_exactly_has_no_noise() -> None:
     y = np.sin(0.7 * np.arange(1000.0))[:, None]
-    model = fit_noise(sums_of(y, axes=AXES[:1]))
+    model = fit_likelihood(sums_of(y, axes=AXES[:1]))
     for coefficient in model.axes[AXES[0]].noise.values():
         # rounding errors, which depend on the processor, may give a limit far below the signal
         assert not coefficient.resolved and (coefficient.upper95 or 0.0) < 1e-6
@@ -137,7 +140,7 @@ def test_decades_in_one_segment_are_counted_and_fitted(samples: int) -> None:
     assert np.all(np.diff(curve.n) <= 0) and np.all(curve.n > 0)
     assert np.all(curve.ci_low < curve.adev) and np.all(curve.adev < curve.ci_high)
     if samples == DECADES:
-        noise = fit_noise(sums, 'paper').axes['gyro_x'].noise
+        noise = fit_paper(sums).axes['gyro_x'].noise
         assert noise['N'].value == pytest.approx(TRUTH.value('N'), rel=1e-3)
         assert noise['B'].value == pytest.approx(TRUTH.value('B'), rel=0.1)
 

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Estimate the noise coefficients of an IMU from its Allan sums: `methods.fit_noise`.
+"""Estimate the noise coefficients of an IMU from its Allan sums: `stationary.fit_stationary`.
 
 Terms
 -----

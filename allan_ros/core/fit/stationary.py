@@ -1,10 +1,10 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Fit of recordings whose noise changes with time: `fit_stationary`.
+"""Fit of all axes of an IMU, also if the noise changes with time: `fit_stationary`.
 
 If the level of the white noise has changed, only the data after the change are fitted. A settling
 of the bias is part of the model. The predictive intervals contain the scatter of the noise level
-between periods. Findings report changed levels, a settling, scatter, and steps of the bias.
+between periods. Findings report all these changes.
 """
 
 from __future__ import annotations
@@ -16,11 +16,18 @@ from dataclasses import replace
 import numpy as np
 
 from ..allan.sums import AllanSums, part
+from ..errors import AllanError
 from ..findings import Finding, finding
 from ..imu import axes_of_sensors
+from ..noise.processes.sinusoid import daily_cycle
 from .bias_changes import settling, settling_findings, step_findings
+from .candidates import Candidates
+from .coefficients import axis_fit, without_estimates
+from .counter import rounding_errors
+from .fit_findings import axis_findings, merge_equal
+from .frequency_range import estimate
 from .innovations import innovation_levels
-from .methods import fit_likelihood, fit_noise
+from .likelihood import AxisData
 from .period_levels import (
     PeriodLevels,
     drift_levels,
@@ -29,8 +36,15 @@ from .period_levels import (
     scatter,
     white_noise_levels,
 )
-from .result import NoiseModel, with_scatter
-from .statistics import statistics
+from .result import METHODS, AxisFit, NoiseModel, with_scatter
+from .statistics import Statistics, statistics
+
+LEAST_DRIFT_S = 10.0
+"""Shortest time at rest in s for which B, K and R are estimated."""
+
+LEAST_STATISTICS = 12
+"""Fewest statistics from which an axis is fitted: bins of the spectra plus contrasts of block
+means."""
 
 SHAKY_RATIO = 1.3
 """Largest ratio of the highest to the lowest N of the periods for which steps of the bias are
@@ -68,8 +82,14 @@ def fit_stationary(
     AllanError
         If the method is unknown, or if the method is 'paper' and no segment has two samples.
     """
-    if method != 'likelihood' or not sums.tau0:
-        return sums, fit_noise(sums, method)
+    if method not in METHODS:
+        raise AllanError(f'fit method {method!r} is unknown: choose one of {", ".join(METHODS)}')
+    if method == 'paper':
+        from .least_squares import fit_paper  # imported here, because the method is rarely used
+
+        return sums, fit_paper(sums)
+    if not sums.tau0:
+        return sums, fit_likelihood(sums)
     spectra = period_spectra(sums)
     levels = white_noise_levels(spectra)
     present = present_part(sums, levels) if may_exclude else None
@@ -111,29 +131,65 @@ def fit_stationary(
 
 def _from_period(sums: AllanSums, at: int) -> AllanSums:
     """Return the sums without the first ``at`` periods, counted over all recordings."""
-    first_kept = []
+    parts = []
     for recording in sums.recordings:
-        first_kept.append(min(at, len(recording.periods)))
-        at -= first_kept[-1]
-    return _parts(sums, first_kept)
+        first = min(at, len(recording.periods))
+        at -= first
+        if first < len(recording.periods):
+            parts.append(part(replace(sums, recordings=(recording,)), first=first))
+    return sum(parts[1:], start=parts[0])
 
 
-def _parts(sums: AllanSums, first: Sequence[int]) -> AllanSums:
-    """Return the sums without the first periods of each recording.
+# --- fit of each axis -----------------------------------------------------------------------------
 
-    ``first`` contains the index of the first period that is kept, for each recording.
+
+def fit_likelihood(sums: AllanSums, of_axes: Sequence[Statistics] = ()) -> NoiseModel:
+    """Estimate the noise of every axis by maximum likelihood.
+
+    ``of_axes`` are the statistics of the sums for each axis, if they are already computed. From
+    these statistics, the settling of a sensor must already be subtracted.
+
+    Too few data raise no error: a term that the data do not determine has no value and no limit,
+    and a finding reports the axis. An axis whose spectra are not finite has no values and no
+    finding.
     """
-    if not any(first):
-        return sums
-    parts = [
-        part(replace(sums, recordings=(r,)), first=k)
-        for r, k in zip(sums.recordings, first)
-        if k < len(r.periods)
-    ]
-    total = parts[0]
-    for further in parts[1:]:
-        total = total + further
-    return total
+    tau0 = sums.tau0 or 1.0
+    of_axes = of_axes or [statistics(sums)] * len(sums.axes)
+    candidates_of = {one: Candidates(one) for one in of_axes}
+    axes: dict[str, AxisFit] = {}
+    findings: list[Finding] = []
+    for a, (name, known) in enumerate(zip(sums.axes, of_axes)):
+        candidates, daily = candidates_of[known], daily_cycle(known.longest, tau0)
+        number = len(known.f) + sum(g.size.high for g in known.groups)
+        if number < LEAST_STATISTICS or _is_constant(sums, a):
+            axes[name] = without_estimates()
+            is_constant = len(sums.count) > 0 and _is_constant(sums, a)
+            id, numbers = (
+                ('no_noise', {}) if is_constant else ('record_too_short', {'samples': sums.samples})
+            )
+            findings.append(finding(id, (name,), **numbers))
+            continue
+        if not np.all(np.isfinite(known.power[:, a])):
+            # The samples have a wrong unit of measurement, which the stream reports.
+            axes[name] = without_estimates()
+            continue
+        brief = sums.samples * tau0 < LEAST_DRIFT_S
+        try:
+            data = AxisData.of(known, a)
+            result = estimate(data, candidates, daily, rounding_errors(sums, a, data))
+            axes[name] = axis_fit(result, tau0, brief)
+        except np.linalg.LinAlgError:  # the signal is periodic except for rounding errors
+            axes[name] = without_estimates()
+            findings.append(finding('no_noise', (name,)))
+            continue
+        if brief:
+            findings.append(finding('rest_too_short', (name,), rest=sums.samples * tau0))
+        findings += axis_findings(sums, a, axes[name], tau0)
+    return NoiseModel('likelihood', tau0, axes, merge_equal(findings))
+
+
+def _is_constant(sums: AllanSums, axis: int) -> bool:
+    return not np.any(sums.avar[:, axis] > 0.0)
 
 
 # --- findings about the level ---------------------------------------------------------------------

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from allan_ros.core.allan.replaced_stretches import replaced_excess
-from allan_ros.core.fit.methods import fit_noise
+from allan_ros.core.fit.stationary import fit_likelihood
 from allan_ros.core.imu import AXES, ImuBatch
 from allan_ros.core.noise import Model
 from allan_ros.core.simulator import simulate_axis
@@ -23,7 +23,7 @@ def fits(samples):
     stream.update(ImuBatch(stamps, samples, None, 'imu'))
     stream.end()
     result = stream.result()
-    return fit_noise(result.sums[0]).axes, result.health.counts.shocks
+    return fit_likelihood(result.sums[0]).axes, result.health.counts.shocks
 
 
 @pytest.mark.parametrize('number', [3, 20])

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from allan_ros.core.allan.running import RunningSums
-from allan_ros.core.fit.methods import fit_noise
+from allan_ros.core.fit.stationary import fit_likelihood
 from allan_ros.core.noise.derived import avar
 from allan_ros.core.noise.processes.rounded_angle import RoundedAngle
 
@@ -28,7 +28,7 @@ def fits_of(samples):
     engine = RunningSums(axes=[f'gyro_{axis}' for axis in 'xyz'][: samples.shape[1]])
     engine.update(samples, 0, round((len(samples) - 1) * PERIOD * 1e9))
     engine.end_segment()
-    return list(fit_noise(engine.sums).axes.values())
+    return list(fit_likelihood(engine.sums).axes.values())
 
 
 @pytest.mark.parametrize('step', [2.5, 5.0, 10.0])

@@ -7,7 +7,7 @@ from support.sums import sums_of
 
 from allan_ros.core.findings import finding
 from allan_ros.core.fit.fit_findings import Line, line_finding, merge_equal, with_harmonics
-from allan_ros.core.fit.methods import fit_noise
+from allan_ros.core.fit.stationary import fit_likelihood
 from allan_ros.view.finding_text import texts_of
 
 
@@ -42,7 +42,7 @@ def test_the_finding_of_a_sinusoid_depends_on_its_frequency(hertz, id, words):
     ],
 )
 def test_an_axis_without_numbers_states_the_reason(samples, id):
-    (found,) = fit_noise(sums_of(samples, axes=('gyro_x',))).findings
+    (found,) = fit_likelihood(sums_of(samples, axes=('gyro_x',))).findings
     assert found.id == id
     assert found.axes == ('gyro_x',)
 

@@ -9,8 +9,9 @@ from support.sums import sums_of
 
 from allan_ros.core.allan.sums import AllanSums
 from allan_ros.core.errors import AllanError
-from allan_ros.core.fit.methods import fit_noise
+from allan_ros.core.fit.least_squares import fit_paper
 from allan_ros.core.fit.result import TERMS
+from allan_ros.core.fit.stationary import fit_stationary
 from allan_ros.core.imu import from_datasheet
 from allan_ros.core.noise import Model
 from allan_ros.core.simulator import simulate_axis
@@ -45,7 +46,7 @@ def polynomial(terms, tau):
 
 
 def test_paper_finds_the_coefficients_of_its_polynomial(white):
-    fit = fit_noise(with_curve(white, lambda tau: polynomial(TRUTH, tau)), 'paper')
+    fit = fit_paper(with_curve(white, lambda tau: polynomial(TRUTH, tau)))
     assert fit.method == 'paper'
     for axis in AXES:
         found = [fit.axes[axis].noise[term].value for term in TERMS]
@@ -56,7 +57,7 @@ def test_paper_finds_the_coefficients_of_its_polynomial(white):
 def test_paper_reports_a_negative_coefficient_without_a_value(white):
     k2 = TRUTH.value('K') ** 2 / 3
     bent = with_curve(white, lambda tau: polynomial(TRUTH, tau) - 2 * k2 * tau)
-    fit = fit_noise(bent, 'paper')
+    fit = fit_paper(bent)
     walk = fit.axes['gyro_x'].noise['K']
     assert (walk.value, walk.status) == (None, 'not_observable')
     assert fit.axes['gyro_x'].noise['N'].value == pytest.approx(TRUTH.value('N'), rel=1e-5)
@@ -68,7 +69,7 @@ def test_paper_reports_a_negative_coefficient_without_a_value(white):
 def test_paper_uses_averages_up_to_1300_s(white):
     """The curve beyond is far above the polynomial."""
     bent = with_curve(white, lambda tau: polynomial(TRUTH, tau) * np.where(tau > 1300.0, 9.0, 1.0))
-    fit = fit_noise(bent, 'paper')
+    fit = fit_paper(bent)
     assert fit.axes['gyro_x'].noise['K'].value == pytest.approx(TRUTH.value('K'), rel=1e-5)
 
 
@@ -77,20 +78,20 @@ def test_a_ramp_keeps_its_sign(sign):
     rng = np.random.default_rng(4)
     terms = Model.of(N=1e-4, R=sign * from_datasheet('R', 'gyro', 2000.0))
     y = np.stack([simulate_axis(180000, 0.01, terms, rng)] * 2, 1)
-    fit = fit_noise(sums_of(y, axes=AXES), 'paper')
+    fit = fit_paper(sums_of(y, axes=AXES))
     ramp = fit.axes['gyro_x'].noise['R']
     assert ramp.value == pytest.approx(terms.value('R'), rel=0.1)
 
 
 def test_short_or_constant_records_have_no_coefficients():
     for y in (np.random.default_rng(0).standard_normal((6, 2)), np.full((1000, 2), 9.81)):
-        fit = fit_noise(sums_of(y, axes=AXES), 'paper')
+        fit = fit_paper(sums_of(y, axes=AXES))
         assert all(c.value is None for axis in AXES for c in fit.axes[axis].noise.values())
         assert len(y) > 6 or {f.id for f in fit.findings} == {'too_few_points'}
 
 
 def test_unknown_methods_and_empty_sums_are_rejected(white):
     with pytest.raises(AllanError, match='choose one of likelihood, paper'):
-        fit_noise(white, 'magic')
+        fit_stationary(white, 'magic')
     with pytest.raises(AllanError, match='at least two samples'):
-        fit_noise(AllanSums.empty(), 'paper')
+        fit_paper(AllanSums.empty())

@@ -5,7 +5,6 @@ import pytest
 
 from allan_ros.core.allan.running import RunningSums
 from allan_ros.core.estimate import Estimate
-from allan_ros.core.fit.methods import fit_noise
 from allan_ros.core.fit.record_length import (
     LENGTHS_S,
     SECONDS_FOR_N,
@@ -13,6 +12,7 @@ from allan_ros.core.fit.record_length import (
     recommended_duration,
 )
 from allan_ros.core.fit.result import AxisFit
+from allan_ros.core.fit.stationary import fit_likelihood
 
 HOUR = 3600.0
 N = 1e-4
@@ -66,6 +66,6 @@ def test_at_most_four_hours_are_recommended_for_white_noise(seconds):
     engine = RunningSums(axes=('gyro_x',))
     engine.update(samples, 0, (len(samples) - 1) * 10**8)
     engine.end_segment()
-    fit = fit_noise(engine.sums).axes['gyro_x']
+    fit = fit_likelihood(engine.sums).axes['gyro_x']
     advice = recommended_duration(fit, seconds)
     assert advice is None or (seconds < advice[0] <= 4 * HOUR < LENGTHS_S[-1])

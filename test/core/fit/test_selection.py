@@ -13,8 +13,8 @@ from support.sums import sums_of
 from allan_ros.core.fit.candidates import Candidates
 from allan_ros.core.fit.frequency_range import estimate
 from allan_ros.core.fit.likelihood import AxisData
-from allan_ros.core.fit.methods import fit_noise
 from allan_ros.core.fit.selection import Selection
+from allan_ros.core.fit.stationary import fit_likelihood
 from allan_ros.core.fit.statistics import statistics
 from allan_ros.core.imu import AXES
 from allan_ros.core.noise import RANDOM_TERMS, Model
@@ -35,7 +35,7 @@ def simulated(n, axes, seed, terms=TRUTH):
 
 def fits(y, cuts=()):
     axes = tuple(f'gyro_{i}' for i in range(y.shape[1]))
-    return list(fit_noise(sums_of(y, cuts=cuts, axes=axes)).axes.values())
+    return list(fit_likelihood(sums_of(y, cuts=cuts, axes=axes)).axes.values())
 
 
 @pytest.fixture(scope='module')
@@ -312,5 +312,5 @@ def test_a_moving_sensor_gives_a_fit(seed: int) -> None:
         motion = gaussian_filter1d(hits, float(rng.choice([5, 20, 60]))) * rng.choice([3, 30, 300])
         motion *= np.cumsum(rng.normal(size=n)) ** rng.integers(0, 2)
         rows.append(motion + rng.normal(size=n) * 0.003)
-    for fit in fit_noise(sums_of(np.stack(rows, axis=1), axes=AXES)).axes.values():
+    for fit in fit_likelihood(sums_of(np.stack(rows, axis=1), axes=AXES)).axes.values():
         assert all(math.isfinite(part.value) for part in fit.model.parts)

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from allan_ros.core.allan.running import RunningSums
 from allan_ros.core.allan.sums import AllanSums
-from allan_ros.core.fit.methods import fit_noise
 from allan_ros.core.fit.result import TemperatureModel
+from allan_ros.core.fit.stationary import fit_likelihood
 from allan_ros.core.fit.temperature import _returns, temperature_models
 from allan_ros.core.imu import AXES, from_datasheet
 from allan_ros.core.noise import Model
@@ -53,7 +53,7 @@ def models_of(
     sums: AllanSums, celsius: Floats, start: int = 0
 ) -> tuple[dict[str, TemperatureModel], list[Any]]:
     read = start + np.arange(0, len(celsius), 10)
-    return temperature_models(sums, read * NS, celsius[read - start], fit_noise(sums))
+    return temperature_models(sums, read * NS, celsius[read - start], fit_likelihood(sums))
 
 
 def test_the_truth_lies_within_the_intervals() -> None:
@@ -107,7 +107,7 @@ def test_two_temperatures_show_a_dependence_but_no_slope_and_curvature() -> None
     celsius = np.where(second // 1000 % 2, 36.0, 24.0)
     sums = sums_of(drifts(8), celsius, 2.0)
     read = second[abs(second % 1000 - 500) < 400]  # none for 200 s around each change
-    models, _ = temperature_models(sums, read * NS, celsius[read], fit_noise(sums))
+    models, _ = temperature_models(sums, read * NS, celsius[read], fit_likelihood(sums))
     for m in models.values():
         assert m.resolved and m.b2_ci95[0] < 2.0 * B2 < m.b2_ci95[1]
         warm, cold = m.bias(np.array([36.0, 24.0]))
@@ -119,7 +119,7 @@ def test_recordings_may_differ_in_their_bias() -> None:
     sums = days[0] + days[1]
     read = np.concatenate([s * 9 * HOUR + np.arange(0, 2 * HOUR, 10) for s in (1, 2)])
     celsius = np.tile(CYCLES[::10], 2)
-    both, _ = temperature_models(sums, read * NS, celsius, fit_noise(sums))
+    both, _ = temperature_models(sums, read * NS, celsius, fit_likelihood(sums))
     one, _ = models_of(days[0], CYCLES, 9 * HOUR)
     for axis, m in both.items():
         assert abs(m.b1 - (B1 + 2.0 * B2 * (m.reference - 30.0))) < 2.0 * np.ptp(m.b1_ci95) / 2.0
@@ -147,7 +147,7 @@ def test_a_lag_of_the_bias_is_a_hysteresis(lag: int) -> None:
 
 def test_blocks_without_a_temperature_are_not_used() -> None:
     sums, read = sums_of(drifts(5), CYCLES), np.arange(0, 2 * HOUR, 10)
-    fit = fit_noise(sums)
+    fit = fit_likelihood(sums)
     known = (read < 3000) | (read > 4500)
     some, _ = temperature_models(sums, read[known] * NS, CYCLES[read[known]], fit)
     wrong = np.where(known, CYCLES[read], 99.0)[known]
@@ -159,7 +159,7 @@ def test_blocks_without_a_temperature_are_not_used() -> None:
 
 def test_an_axis_without_white_noise_has_no_model() -> None:
     sums = sums_of(drifts(6), CYCLES)
-    fit = fit_noise(sums)
+    fit = fit_likelihood(sums)
     dead = replace(
         fit.axes['gyro_y'],
         noise={**fit.axes['gyro_y'].noise, 'N': replace(fit.axes['gyro_y'].noise['N'], value=None)},

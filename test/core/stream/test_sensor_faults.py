@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from support.streams import PERIOD, accumulate, faulty, ids, repeated, still
 
-from allan_ros.core.fit.methods import fit_noise
+from allan_ros.core.fit.stationary import fit_likelihood
 from allan_ros.core.imu import AXES
 from allan_ros.view.finding_text import texts_of
 
 
 def mean_n(sums):
-    return np.mean([fit.noise['N'].value for fit in fit_noise(sums).axes.values()])
+    return np.mean([fit.noise['N'].value for fit in fit_likelihood(sums).axes.values()])
 
 
 def test_sensors_with_different_rates_have_separate_sums():
