@@ -19,7 +19,7 @@ from ..core.errors import AllanError, one_line
 from ..core.estimate import value_text
 from ..core.fields import plain
 from ..core.findings import Finding
-from ..core.fit.record_length import ADVISED_TERMS
+from ..core.fit.fit_findings import ADVISED_TERMS
 from ..core.imu import SENSORS, SI_UNITS, sensor_of, shown_unit
 from ..readers.files import open_regular, write_atomic
 from ..readers.recorded import ReadJob

@@ -20,7 +20,7 @@ from ..core.check import Check
 from ..core.errors import one_line
 from ..core.estimate import Estimate, value_text
 from ..core.findings import Finding, by_consequence, finding, quantity
-from ..core.fit.record_length import recommended_duration
+from ..core.fit.fit_findings import recommended_duration
 from ..core.fit.result import TERMS
 from ..core.imu import sensor_of, shown_unit
 from ..core.number_text import LIMIT_DIGITS, duration_text, significant

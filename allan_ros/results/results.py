@@ -13,7 +13,7 @@ from ..core.check import MARGIN, AxisNoise, Check, Run, differences, worst_verdi
 from ..core.errors import AllanError
 from ..core.estimate import Estimate
 from ..core.findings import Finding
-from ..core.fit.record_length import TOO_SHORT_S, longest_recommended, recommended_duration
+from ..core.fit.fit_findings import TOO_SHORT_S, longest_recommended, recommended_duration
 from ..core.fit.result import TemperatureModel
 from ..core.imu import ImuIdentity, sensor_of
 from ..readers.recorded import Provenance, RecordingSums

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 from ..core.check import Check
 from ..core.findings import Finding, by_consequence, grouped, is_note
-from ..core.fit.record_length import ADVISED_TERMS, TOO_SHORT_S
+from ..core.fit.fit_findings import ADVISED_TERMS, TOO_SHORT_S
 from ..core.imu import AXES, SENSORS, sensor_of, shown_unit
 from ..core.number_text import duration_text, significant
 from ..results.results import (

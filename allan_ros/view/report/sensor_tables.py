@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from ...core.check import Check
 from ...core.errors import AllanError
-from ...core.fit.record_length import ADVISED_TERMS
+from ...core.fit.fit_findings import ADVISED_TERMS
 from ...core.fit.result import TERMS
 from ...core.imu import shown_unit
 from ...export import target_of
