@@ -1,10 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Find and open the files of a bag: a folder with or without metadata.yaml, or a single file.
-
-ROS 1 bags must be closed and indexed. They are read with the package ``rosbags``, which does not
-limit the memory for a chunk.
-"""
+"""Find the files and topics of a bag: a folder with or without metadata.yaml, or a single file."""
 
 from __future__ import annotations
 
@@ -13,62 +9,69 @@ import re
 import tempfile
 import weakref
 from collections import Counter
-from collections.abc import Iterator
-from contextlib import ExitStack, closing, contextmanager
+from collections.abc import Iterable
+from contextlib import ExitStack
+from dataclasses import dataclass, field
 from importlib import import_module
-from itertools import islice
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
-import numpy as np
 import yaml
 
 from ..core.errors import AllanError
-from .bag_messages import (
-    Messages,
-    Topic,
-    Truncation,
-    decompress_file,
-    frame_compression,
-    normal_type,
-)
+from .bag_messages import Topic, Truncation, decompress_file, frame_compression, normal_type
+from .cdr import IMU_TYPE
+from .columns import listed
 from .files import MAX_BYTES, parse_yaml, read_bounded
-from .recording import (
-    METADATA,
-    damaged,
-    first_bytes,
-    optional_package,
-    translated,
-)
+from .recording import METADATA, damaged, first_bytes, translated
 
 _FORMATS = {b'\x89MCAP0\r\n': 'mcap', b'SQLite format 3\0': 'sqlite3', b'#ROSBAG': 'ros1'}
-"""First bytes of a bag file -> format of the file. The modules `mcap` and `sqlite3` read the
-formats with these names."""
+"""First bytes of a bag file -> format of the file, which is also the name of the module that reads
+the format."""
 
 SPLITS = ('.db3', '.mcap', '.db3.zstd', '.mcap.zstd', '.db3.lz4', '.mcap.lz4')
 """Suffixes of the files in the folder of a bag."""
 
-MAX_MESSAGE_BYTES = 2**16
-"""Largest accepted size in bytes of a message that is compressed separately, after decompression.
-An Imu message has less than 2 kB."""
+ENCODINGS = ('cdr', 'ros1')
+"""Serializations of messages that can be read."""
 
 
 if TYPE_CHECKING:
     from .mcap import McapStorage
+    from .ros1 import Ros1Storage
     from .sqlite3 import Sqlite3Storage
 
     Storage: TypeAlias = 'McapStorage | Sqlite3Storage | Ros1Storage'
 
 
-class Stated(NamedTuple):
-    """Number of messages of a topic, and their serialization, as stated in metadata.yaml."""
-
-    messages: int
-    encoding: str
+Key = tuple[str, str]
+"""Topic name and type, which identify a topic in all files of a bag."""
 
 
-Described = dict[tuple[str, str], Stated]
-"""(topic name, type) -> number of messages and serialization according to metadata.yaml."""
+@dataclass
+class Survey:
+    """The topics of a bag, and the number of messages of each topic."""
+
+    topics: dict[Key, Topic] = field(default_factory=dict)
+    counts: Counter[Key] = field(default_factory=Counter)
+    truncation: Truncation | None = None  # truncation of the first truncated file
+
+    def listed(self, keys: Iterable[Key]) -> str:
+        """Return the name, type and number of messages of these topics, as text.
+
+        If there are more than `columns.MOST_LISTED` topics, the others are counted.
+        """
+        shown = []
+        for key in keys:
+            encoding = self.topics[key].encoding
+            unsupported = '' if encoding in ENCODINGS else f', serialized as {encoding}'
+            shown.append(f'{key[0]} ({key[1]}, {self.counts[key]}{unsupported})')
+        return listed(shown)
+
+    def imus(self) -> list[Key]:
+        """Return the Imu topics that have messages, or all Imu topics if none has messages."""
+        imus = [key for key in self.topics if key[1] == IMU_TYPE]
+        return [key for key in imus if self.counts[key]] or imus
 
 
 class Bag:
@@ -77,7 +80,7 @@ class Bag:
     ``described`` is None without metadata.yaml. At most one file is open at a time.
     """
 
-    def __init__(self, path: Path, files: tuple[Path, ...], described: Described | None) -> None:
+    def __init__(self, path: Path, files: tuple[Path, ...], described: Survey | None) -> None:
         self.path = path
         self.files = files
         self.described = described
@@ -113,9 +116,7 @@ class Bag:
         if not formats:
             raise damaged(file, 'it is not a bag', 'give a rosbag2 .db3 or .mcap, or a ROS 1 .bag')
         (self.format,) = formats
-        opener: Any = _open_ros1
-        if self.format != 'ros1':
-            opener = import_module(f'.{self.format}', __package__).open_storage
+        opener: Any = import_module(f'.{self.format}', __package__).open_storage
         storage: Storage = stack.enter_context(opener(decompressed, file))
         return storage
 
@@ -123,6 +124,31 @@ class Bag:
         """Close the open file."""
         self._open = None
         self._stack.close()
+
+    def survey(self) -> Survey:
+        """Return the topics of the bag, and the number of messages of each topic.
+
+        The numbers are taken from metadata.yaml. If this file is missing, or states no Imu
+        messages, which may be wrong, the messages in all files are counted, and the larger number
+        is used for each topic. Raises AllanError when a file that is opened is missing, damaged, or
+        not a bag; the first file is always opened.
+        """
+        described = self.described or Survey()
+        survey = Survey(described.topics.copy(), described.counts.copy())
+        self.storage(self.files[0])
+        if any(key[1] == IMU_TYPE and count for key, count in survey.counts.items()):
+            return survey
+        counted: Counter[Key] = Counter()
+        for file in self.files:
+            storage = self.storage(file)
+            counts = storage.counts()
+            for topic in storage.topics:
+                key = (topic.name, topic.type)
+                survey.topics.setdefault(key, topic)
+                counted[key] += counts.get(topic.id, 0)
+            survey.truncation = survey.truncation or storage.truncation
+        survey.counts |= counted
+        return survey
 
 
 def bag_of(path: Path) -> Bag:
@@ -168,10 +194,10 @@ def _no_bag_in(path: Path) -> AllanError:
     )
 
 
-def _read_metadata(path: Path) -> tuple[tuple[Path, ...], Described]:
+def _read_metadata(path: Path) -> tuple[tuple[Path, ...], Survey]:
     first_bytes(path / METADATA)
     remedy = f'restore {METADATA}, or remove it to read the .db3 or .mcap files without it'
-    described: Described = {}
+    described = Survey()
     # all exceptions that unexpected content can cause
     errors = (yaml.YAMLError, LookupError, TypeError, ValueError, AttributeError, OSError)
     with translated(path / METADATA, errors, remedy):
@@ -184,86 +210,14 @@ def _read_metadata(path: Path) -> tuple[tuple[Path, ...], Described]:
         ]
         for entry in information.get('topics_with_message_count') or []:
             topic, count = entry['topic_metadata'], entry['message_count']
-            names = [topic['name'], topic['type'], topic['serialization_format']]
-            if not all(isinstance(name, str) and name.isprintable() for name in names):
-                raise ValueError('the name of a topic contains unprintable characters')
+            key = (topic['name'], normal_type(topic['type']))
+            described.topics[key] = Topic(0, *key, topic['serialization_format'])
             if isinstance(count, bool) or not isinstance(count, int) or not 0 <= count < 2**63:
-                raise ValueError(f'message_count of {names[0]} is not a number of messages')
-            key = (names[0], normal_type(names[1]))
-            count += described[key].messages if key in described else 0
-            described[key] = Stated(count, names[2])
+                raise ValueError(f'message_count of {key[0]} is not a number of messages')
+            described.counts[key] += count
     if missing := [file.name for file in files if not file.exists()]:
         raise AllanError(
             f'{path}: {len(missing)} of the {len(files)} files that {METADATA} names are missing '
             f'({missing[0]}): copy the whole folder'
         )
     return tuple(files), described
-
-
-# --- ROS 1 ----------------------------------------------------------------------------------------
-
-ROS1_MAGIC = b'#ROSBAG V2.0\n'
-
-ROS1_MESSAGES = 2048
-"""Number of messages that are read together from a ROS 1 bag."""
-
-ROS1_REMEDY = 'copy it again, or repair it with "rosbag reindex" or "rosbag fix"'
-
-
-class Ros1Storage:
-    """A ROS 1 bag that ``reader`` of the package ``rosbags`` has opened.
-
-    Error messages name the bag ``path``.
-    """
-
-    truncation: Truncation | None = None
-
-    def __init__(self, path: Path, reader: Any) -> None:
-        self._path = path
-        self._reader = reader
-        self.topics = [Topic(c.id, c.topic, c.msgtype, 'ros1') for c in reader.connections]
-
-    def counts(self) -> dict[int, int]:
-        """Return topic id -> number of messages in the bag."""
-        return {connection.id: connection.msgcount for connection in self._reader.connections}
-
-    def stated(self, ids: set[int], read: int) -> int:
-        """Return the number of messages of the topics ``ids`` according to the list of chunks.
-
-        ``read``, the number of messages that were read, is not used.
-        """
-        stated: Counter[int] = Counter()
-        for chunk in self._reader.chunk_infos:
-            stated.update(chunk.connection_counts)
-        return sum(stated[number] for number in ids)
-
-    def blocks(self, ids: set[int]) -> Iterator[Messages]:
-        """Yield all messages of the topics ``ids`` in blocks, in the order of record time."""
-        with translated(self._path, (Exception,), ROS1_REMEDY):
-            messages = self._reader.messages([c for c in self._reader.connections if c.id in ids])
-            while batch := list(islice(messages, ROS1_MESSAGES)):
-                connections, times, payloads = zip(*batch)
-                topics = np.array([connection.id for connection in connections])
-                yield Messages(topics, np.array(times, np.int64), list(payloads))
-
-
-@contextmanager
-def _open_ros1(path: Path, shown: Path) -> Iterator[Ros1Storage]:
-    """Open a ROS 1 bag for reading.
-
-    Error messages name the bag ``shown``, because ``path`` may be a decompressed copy. Raises
-    AllanError when the bag is of another version or damaged, or the package ``rosbags`` is missing.
-    """
-    with path.open('rb') as file:
-        magic = file.read(len(ROS1_MAGIC))
-    if magic != ROS1_MAGIC:
-        version = magic.split(b'\n')[0].decode(errors='replace')
-        raise damaged(shown, f'{version!r} is not ROS bag 2.0', 'update it with "rosbag fix"')
-    rosbag1 = optional_package('rosbags.rosbag1', f'{shown}: reading a ROS 1 bag')
-    with translated(shown, (Exception,), ROS1_REMEDY):
-        reader = rosbag1.Reader(path)
-        reader.open()
-    with closing(reader):
-        with translated(shown, (Exception,), ROS1_REMEDY):
-            storage = Ros1Storage(shown, reader)
-        yield storage

@@ -43,7 +43,7 @@ class Topic:
 
     def __post_init__(self) -> None:
         if not (self.name + self.type + self.encoding).isprintable():
-            raise ValueError('a topic name contains control characters')
+            raise ValueError('the name of a topic contains unprintable characters')
 
 
 Payloads = list[bytes | memoryview] | NDArray[np.void]

@@ -21,16 +21,8 @@ from ..core.errors import AllanError
 from ..core.findings import finding
 from ..core.imu import AXES, SENSORS, ImuBatch, joined
 from ..core.stream.signal import Decimated, TemperatureTrace, trace_of
-from .bag import MAX_MESSAGE_BYTES, Bag, bag_of
-from .bag_messages import (
-    Messages,
-    Payloads,
-    Topic,
-    Truncation,
-    among,
-    decompress,
-    frame_compression,
-)
+from .bag import ENCODINGS, Bag, Key, Survey, bag_of
+from .bag_messages import Messages, Payloads, Topic, among, decompress, frame_compression
 from .cdr import IMU_TYPE, Encoding, MalformedMessage, decode_imus, decode_temperature
 from .columns import listed
 from .recording import (
@@ -47,38 +39,9 @@ from .recording import (
 if TYPE_CHECKING:
     from .bag import Storage
 
-ENCODINGS = ('cdr', 'ros1')
-"""Serializations of messages that can be read."""
-
-Key = tuple[str, str]
-"""Topic name and type, which identify a topic in all files of a bag."""
-
-
-@dataclass
-class Survey:
-    """The topics of all files of a bag, and the number of messages of each topic."""
-
-    topics: dict[Key, Topic] = field(default_factory=dict)
-    counts: Counter[Key] = field(default_factory=Counter)
-    truncation: Truncation | None = None  # truncation of the first truncated file
-
-    def listed(self, keys: Iterable[Key]) -> str:
-        """Return the name, type and number of messages of these topics, as text.
-
-        If there are more than `columns.MOST_LISTED` topics, the others are counted.
-        """
-        shown = []
-        for key in keys:
-            encoding = self.topics[key].encoding
-            unsupported = '' if encoding in ENCODINGS else f', serialized as {encoding}'
-            shown.append(f'{key[0]} ({key[1]}, {self.counts[key]}{unsupported})')
-        return listed(shown)
-
-    def imus(self) -> list[Key]:
-        """Return the Imu topics that have messages, or all Imu topics if none has messages."""
-        imus = [key for key in self.topics if key[1] == IMU_TYPE]
-        return [key for key in imus if self.counts[key]] or imus
-
+MAX_MESSAGE_BYTES = 2**16
+"""Largest accepted size in bytes of a message that is compressed separately, after decompression.
+An Imu message has less than 2 kB."""
 
 MAX_TOPICS = 100
 """Largest number of Imu topics with which all topics of a bag are analyzed. Each topic is read
@@ -97,38 +60,9 @@ def imu_topics(path: Path) -> list[str]:
         topics = bag.storage(file).topics
         imu_keys |= {(t.name, t.type): None for t in topics if t.type == IMU_TYPE}
     # messages are counted only if necessary, because counting reads an sqlite3 file completely
-    imus = [*imu_keys] if len(imu_keys) == 1 else survey_bag(bag).imus()
+    imus = [*imu_keys] if len(imu_keys) == 1 else bag.survey().imus()
     bag.close()
     return [name for name, _ in imus] if len(imus) <= MAX_TOPICS else []
-
-
-def survey_bag(bag: Bag) -> Survey:
-    """Return the topics of a bag, and the number of messages of each topic.
-
-    The numbers are taken from metadata.yaml. If this file is missing, or states no Imu messages,
-    which may be wrong, the messages in all files are counted, and the larger number is used for
-    each topic. Raises AllanError when a file that is opened is missing, damaged, or not a bag; the
-    first file is always opened.
-    """
-    described = bag.described or {}
-    survey = Survey(
-        {key: Topic(0, *key, stated.encoding) for key, stated in described.items()},
-        Counter({key: stated.messages for key, stated in described.items()}),
-    )
-    bag.storage(bag.files[0])
-    if any(key[1] == IMU_TYPE and count for key, count in survey.counts.items()):
-        return survey
-    counted: Counter[Key] = Counter()
-    for file in bag.files:
-        storage = bag.storage(file)
-        counts = storage.counts()
-        for topic in storage.topics:
-            key = (topic.name, topic.type)
-            survey.topics.setdefault(key, topic)
-            counted[key] += counts.get(topic.id, 0)
-        survey.truncation = survey.truncation or storage.truncation
-    survey.counts |= counted
-    return survey
 
 
 def chosen_topic(path: Path, survey: Survey, wanted: str, accel_topic: str = '') -> Topic:
@@ -222,7 +156,7 @@ def open_bag(path: Path, options: ReadOptions) -> Recording:
     messages or another serialization than `ENCODINGS`.
     """
     bag = bag_of(path)
-    survey = survey_bag(bag)
+    survey = bag.survey()
     topic = chosen_topic(path, survey, options.topic, options.accel_topic)
     topics = [topic for topic in survey.topics.values() if topic.encoding in ENCODINGS]
 
@@ -265,7 +199,7 @@ class _Reader:
         self._temperatures = [Decimated() for _ in self.thermometers]
         self._wrongly_absent.clear()
         bag, key, total = self.bag, (self.topic.name, self.topic.type), 0
-        stated = bag.described or {}
+        stated = bag.described.counts if bag.described else {}
         for file in bag.files:
             storage = bag.storage(file)
             if found := storage.truncation:
@@ -279,7 +213,7 @@ class _Reader:
             total += read
         bag.close()
         if key in stated:
-            _compare(stated[key].messages, total, bag.path / METADATA, report)
+            _compare(stated[key], total, bag.path / METADATA, report)
         for sensor, count in sorted(self._wrongly_absent.items()):
             axes = AXES[SENSORS[sensor]]
             report(finding('covariance_ignored', axes, count=count, sensor=sensor, read=total))
