@@ -51,7 +51,7 @@ from .outcomes import (
 from .result_lines import findings_lines, results_lines
 
 EXITS = {
-    EXIT_FAILED: 'with --fail-on: a finding of that or a higher severity, or an exceeded limit'
+    EXIT_FAILED: 'with --fail-on: a finding of the given or a higher severity, or an exceeded limit'
 }
 """Exit code of `analyze` that not all verbs have -> meaning of the code."""
 
@@ -111,8 +111,8 @@ STORAGES = ('.mcap', '.db3')
 """Suffixes of bag files, which can be parts of a split bag."""
 
 SPLIT = re.compile(r'^(.*)_(0|[1-9]\d*)$')
-"""Pattern of the file name, without suffix, of a part of a split bag. rosbag2 appends the number of
-the part, from 0 on, to the name of the bag."""
+"""Pattern of the name, without suffix, of one file of a split bag. rosbag2 appends the number of
+the file, from 0 on, to the name of the bag."""
 
 
 def recordings_in(path: str, files_are_units: bool = False) -> list[str]:

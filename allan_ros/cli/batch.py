@@ -38,7 +38,7 @@ from .result_lines import LEVEL_COLORS
 CHECK_SCHEMA = 'allan_ros/unit_check/1'
 
 UNREAD = (str(int(Decision.UNREADABLE)), str(int(Decision.BUG)))
-"""Exit codes of units without results, as text in a summary."""
+"""Exit codes of units without results, as they are written in summary.csv."""
 
 MAX_SUMMARY = 100_000_000
 """Largest number of bytes that are read from a summary."""
@@ -239,7 +239,7 @@ def run_check(
 
 
 def _total(word: str, names: Sequence[str]) -> str:
-    """Return the number and the names of the units with a verdict as text.
+    """Return how many units have a verdict, and their names, as text.
 
     ``word`` is the word for the verdict, and ``names`` are the names of all units with this
     verdict. Healthy units are counted, but not named.

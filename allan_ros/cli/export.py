@@ -142,16 +142,16 @@ def list_lines(sheets: Mapping[str, Datasheet], columns: int) -> Iterator[str]:
         row = [name]
         for header in HEADERS[1:]:
             sensor, term, unit = header.split()
-            by_axis = (terms for axis, terms in sheet.limits.items() if axis.startswith(sensor))
-            limits = [terms[term].value for terms in by_axis if term in terms]
+            axis_terms = (terms for axis, terms in sheet.limits.items() if axis.startswith(sensor))
+            limits = [terms[term].value for terms in axis_terms if term in terms]
             row.append(
                 significant(max(limits) / UNITS[unit].factor, LIMIT_DIGITS) if limits else '-'
             )
         rows.append(row)
     widths = [max(map(len, column)) + GAP for column in zip(*rows)]
-    shown_columns = sum(sum(widths[: n + 1]) - GAP <= columns for n in range(len(widths)))
+    n_shown = sum(sum(widths[: n + 1]) - GAP <= columns for n in range(len(widths)))
     for row in rows:
-        yield ''.join(f'{cell:{w}}' for cell, w in zip(row[:shown_columns], widths)).rstrip()
+        yield ''.join(f'{cell:{w}}' for cell, w in zip(row[:n_shown], widths)).rstrip()
     yield ''
     for name, sheet in sheets.items():
         if sheet.carries:

@@ -101,9 +101,9 @@ class ImuWatch(NodePart):
     ``output`` publishes the sums periodically, for each new subscriber, and when the sums are
     saved, reset or replaced, the first means at rest are known, or the frame_id, axes or faults of
     the input change. ``sensor`` is the only sensor that is used, or '' for both sensors. ``accel``
-    is the `ImuWatch` of an accelerometer with its own topic. If it is given, ``output`` publishes
-    the sums of both sensors whenever the sums of one sensor are due, and the services reset or save
-    the sums of both.
+    is the `ImuWatch` of an accelerometer with its own topic. If ``accel`` is given, ``output``
+    publishes the sums of both sensors whenever the sums of one sensor are due, and the services
+    reset or save the sums of both.
     """
 
     def __init__(
@@ -389,7 +389,7 @@ def watches(
     imu: WatchedImu,
     listener: Callable[[Snapshot], None] | None = None,
 ) -> list[ImuWatch]:
-    """Return the input of an IMU, or two inputs if gyro and accelerometer have separate topics.
+    """Return a list with the input of an IMU, or two inputs if the sensors have separate topics.
 
     ``listener`` is called with every snapshot of the IMU.
     """

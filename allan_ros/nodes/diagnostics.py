@@ -277,7 +277,7 @@ def axis_status(name: str, hardware_id: str, view: AxisView) -> DiagnosticStatus
     return status_of(name, findings, text, pairs, noted=view.noted, hardware_id=hardware_id)
 
 
-def _term_pairs(axis: str, term: str, c: Estimate) -> list[tuple[str, object]]:
+def _term_pairs(axis: str, term: str, coefficient: Estimate) -> list[tuple[str, object]]:
     """Return the (key, value) pairs of a term for the status of an axis.
 
     The pairs are the value in SI and in datasheet units, the ends of the 95 % interval in datasheet
@@ -285,14 +285,15 @@ def _term_pairs(axis: str, term: str, c: Estimate) -> list[tuple[str, object]]:
     """
     si_unit, datasheet_unit = shown_unit(axis, term, 'SI'), shown_unit(axis, term, 'deg/h')
     pairs: list[tuple[str, object]] = [
-        (f'{term} [{u.name}]', value_text(c, u)) for u in (si_unit, datasheet_unit)
+        (f'{term} [{u.name}]', value_text(coefficient, u)) for u in (si_unit, datasheet_unit)
     ]
-    low, high = c.ci95 if c.status == 'estimated' and c.ci95 else (None, c.upper95)
+    is_resolved = coefficient.status == 'estimated'
+    low, high = (is_resolved and coefficient.ci95) or (None, coefficient.upper95)
     for end, value in (('low', low), ('high', high)):
         if value is not None and math.isfinite(value):
             text = significant(value * datasheet_unit.factor, LIMIT_DIGITS)
             pairs.append((f'{term} {end} [{datasheet_unit.name}]', text))
-    return [*pairs, (f'{term} verdict', c.status.replace('_', ' '))]
+    return [*pairs, (f'{term} verdict', coefficient.status.replace('_', ' '))]
 
 
 def _limit_findings(view: AxisView) -> list[Finding]:

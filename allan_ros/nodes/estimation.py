@@ -119,9 +119,9 @@ class ImuEstimate(NodePart):
         """Process a new snapshot; start a fit if the sums have grown enough or were replaced."""
         self._snapshot = snapshot
         former_faults, self._faults = self._faults, snapshot.faults
-        lost = replaced_share(self._fitted, snapshot.sums)
-        if lost > REPLACED_SHARE:
-            self._invalidate(lost, replaced_because(self._fitted, snapshot))
+        lost_share = replaced_share(self._fitted, snapshot.sums)
+        if lost_share > REPLACED_SHARE:
+            self._invalidate(lost_share, replaced_because(self._fitted, snapshot))
         window = self._settings.value.recent_window
         self._steps = {a: step for s in snapshot.sums for a, step in noise_steps(s, window).items()}
         self._bias.update(snapshot)
@@ -264,17 +264,17 @@ class ImuEstimate(NodePart):
         self._failed = finding('fit_failed', reason=reason.rstrip('.'))
         self._node.get_logger().error(str(self._failed), throttle_duration_sec=60.0)
 
-    def _invalidate(self, lost: float, cause: str) -> None:
+    def _invalidate(self, lost_share: float, cause: str) -> None:
         """Invalidate the noise model, if there is one.
 
-        ``lost`` is the share of its samples that was removed, and ``cause`` states why.
+        ``lost_share`` is the share of its samples that was removed, and ``cause`` states why.
         """
         self._outdated = self._fitting is not None
         self._fitted, self._failed, self._next_fit = (), None, 0.0
         results, self._results = self._results, None
         if results is None:
             return
-        self._invalidated = finding('model_invalidated', lost=lost, cause=cause)
+        self._invalidated = finding('model_invalidated', lost=lost_share, cause=cause)
         self._node.get_logger().warning(str(self._invalidated))
         without_axes = replace(
             results, axes={}, samples=0, duration_s=0.0, segments=0, datasheet=None

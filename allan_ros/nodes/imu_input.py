@@ -62,8 +62,8 @@ FETCH_S, FETCH_SHARE = 0.1, 0.25
 BUFFER_BYTES, MESSAGE_BYTES = 2**26, 120
 """Largest total size in bytes of the fetched messages that are not decoded yet, and number of bytes
 that Python adds to each payload. The total size suffices for 7 s of messages at 20 kHz, or 12 min
-at 200 Hz. If the node does not decode for longer, further messages stay in the queue. Messages that
-do not fit into the queue are lost and counted."""
+at 200 Hz. If the node decodes nothing for a longer time, further messages stay in the queue.
+Messages that do not fit into the queue are lost and counted."""
 
 NAMELESS = '_NODE_NAME_UNKNOWN_'
 """Node name that the ROS graph returns for an endpoint of an unknown node."""

@@ -191,13 +191,13 @@ def replaced_because(before: Sequence[AllanSums], snapshot: Snapshot) -> str:
 
 def _lost(old: AllanSums, new: AllanSums) -> int:
     """Return the number of samples of the old sums that are missing in the new sums."""
-    present = _samples_by_start(new)
-    shortest = min(present.values()) if len(present) >= KEPT_SEGMENTS else 0
+    new_samples = _samples_by_start(new)
+    fewest_listed = min(new_samples.values()) if len(new_samples) >= KEPT_SEGMENTS else 0
     lost = sum(
-        samples - min(samples, present[start])
+        samples - min(samples, new_samples[start])
         for start, samples in _samples_by_start(old).items()
         # short segments may be missing only because the list of segments has a limited length
-        if start in present or samples > shortest
+        if start in new_samples or samples > fewest_listed
     )
     return max(lost, old.samples - new.samples)
 

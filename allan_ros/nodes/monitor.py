@@ -39,7 +39,7 @@ class Accumulator(AllanNode):
 
 
 class Estimator(AllanNode):
-    """Subscribes to ``sums``; publishes ``~/noise_model`` and one diagnostic status per axis."""
+    """Subscribes to ``sums``; publishes ``~/noise_model``, ``~/bias`` and a status per axis."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__('allan_estimator', **options)
@@ -50,9 +50,9 @@ class Estimator(AllanNode):
 
 
 class Relay(AllanNode):
-    """Subscribes to ``imu/data``, ``noise_model`` and ``bias``; publishes Imus with covariances.
+    """Subscribes to ``imu/data``, ``noise_model`` and ``bias``; fills in the covariances.
 
-    The topic of the output is ``imu/data_with_covariance``.
+    The Imu messages with covariances are published on ``imu/data_with_covariance``.
     """
 
     def __init__(self, **options: Any) -> None:

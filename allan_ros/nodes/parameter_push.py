@@ -60,8 +60,8 @@ ANSWER_S = 5.0
 """Longest time in s to wait for an answer of the other node; the next update then tries again."""
 
 RETRY_S = 1.0
-"""Period in s at which an update is tried until there are values to set, and the other node is
-available."""
+"""Period in s at which an update is tried again, until there are values to set and the other node
+is available."""
 
 CLOSING_S = 0.5
 """Longest time in s to wait for the answers of the other node while this node ends."""
@@ -416,7 +416,7 @@ class ParameterPush(NodePart):
         return True
 
     def _forget_unsent(self) -> None:
-        """Forget the former value of each parameter that still has its former value."""
+        """Forget the stored former value of each parameter whose present value is the same."""
         for held in self._held.values():
             if held.now == held.found:
                 held.found = ()
@@ -463,7 +463,7 @@ class ParameterPush(NodePart):
         self._store()
 
     def _leave(self, name: str, values: Numbers) -> None:
-        """Note that someone else has changed a parameter, which is not set any more."""
+        """Stop setting a parameter that another program has changed, and store a note about it."""
         self._held[name] = Held(values, changed_by_others=True)
         self._note(
             name, f'was changed to {text_of(values)} by someone else, and is not set any more'

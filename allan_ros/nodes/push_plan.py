@@ -23,9 +23,9 @@ cover the errors of the gyro in motion. Without a factor in motion, the gain is 
 but not set."""
 
 RAISED = 2.0
-"""A gain in a node is raised if the gain that covers the errors of the gyro in motion is more than
-this number of times as large. A gain is never lowered: a large gain may be needed for other
-reasons, such as fast convergence, and a lower gain makes the tilt worse at rest."""
+"""The gain in a node is raised if the gain that covers the errors of the gyro in motion is more
+than `RAISED` times as large. A gain is never lowered: a large gain may be needed for other reasons,
+such as fast convergence, and a lower gain makes the tilt worse at rest."""
 
 PUSHED_TARGETS = (*GAINS, 'kalibr', 'fast_lio')
 """Export targets that ``push.filter`` may name: gains, densities N and K (kalibr), and N^2 f and

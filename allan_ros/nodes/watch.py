@@ -371,8 +371,8 @@ def make_parser() -> argparse.ArgumentParser:
 def main(args: Sequence[str] | None = None) -> int:
     """Run `allan_watch` and return the exit code.
 
-    The code is 0 if the program that reads the output has ended. Raises SystemExit if an option of
-    the command line is invalid.
+    The code is 0 if the program that reads the output, such as head, has ended. Raises SystemExit
+    if an option of the command line is invalid.
     """
     nodes: list[Watch] = []
 

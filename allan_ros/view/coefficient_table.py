@@ -95,9 +95,9 @@ def term_name(sensor: str, term: str) -> str:
 
 
 def largest(known: Sequence[Estimate]) -> float:
-    """Return the largest number among coefficients in SI, given their magnitudes or upper limits.
+    """Return the largest magnitude of several coefficients in SI.
 
-    A coefficient that is not resolved counts with its upper limit. The result is 0 if no magnitude
+    For a coefficient that is not resolved, the upper limit is used. The result is 0 if no magnitude
     and no limit is known.
     """
     sizes = [c.value if c.resolved else c.upper95 for c in known]

@@ -187,7 +187,7 @@ def inflation_table(inflation: Inflation) -> Table:
 
 
 def deviation_ratio_table(inflation: Inflation) -> Table:
-    """Return a table of the Allan deviations with motors on, divided by those with motors off.
+    """Return a table of ratios of Allan deviations: with motors on / with motors off.
 
     There is a row for each axis, and a column for each of the averaging times `SHOWN_TAU_S` at
     which a ratio is known.

@@ -104,7 +104,7 @@ def finding_document(finding: Finding, units: str = 'deg/h') -> dict[str, Any]:
 def explained(error: AllanError) -> AllanError:
     """Return an error whose message also contains the texts of the findings of ``error``.
 
-    If ``error`` has no findings, it is returned itself.
+    An error without findings is returned unchanged.
     """
     if not error.findings:
         return error

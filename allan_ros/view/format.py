@@ -79,8 +79,8 @@ def temperature_text(models: Mapping[str, TemperatureModel], units: str) -> str:
     """Return the bias over temperature of the axes of one sensor as text, with 95 % intervals.
 
     The text states the slope of each axis, and K before and after the bias over temperature is
-    subtracted. If they are resolved, the text also states the share of the drift that the
-    temperature explains, and the hysteresis.
+    subtracted. If the effect of the temperature is resolved, the text also states which share of
+    the drift the temperature explains. The hysteresis is stated if it is resolved.
     """
     names, fits = list(models), list(models.values())
     bias_unit, walk_unit = (
@@ -156,7 +156,7 @@ class DrawnCurve(NamedTuple):
     parts: dict[str, Floats]  # name of a part of the model -> deviation of this part
     limits: dict[str, Floats]  # term that is not resolved -> upper limit of its deviation
     # term -> point (tau, adev) at which the deviation of the term equals its coefficient
-    read: dict[str, tuple[float, float]]
+    marks: dict[str, tuple[float, float]]
 
     @property
     def any(self) -> bool:
@@ -183,11 +183,11 @@ def drawn_curve(axis: AxisResult, factor: float = 1.0) -> DrawnCurve | None:
     limits = {name: above(adev, floor) for name, adev in axis.limit_adev(curve.m).items()}
     adev, low, high = (above(values) for values in (curve.adev, curve.ci_low, curve.ci_high))
     model, upper = (factor * line for line in axis.model_line())
-    read = {
+    marks = {
         term: (tau, factor * float(np.sqrt(axis.fit.model.contributions([tau])[term][0])))
         for term, tau in READ_AT.items()
         if term in parts
     }
     return DrawnCurve(
-        curve.tau, adev, low, high, curve.is_uncertain, model, upper, parts, limits, read
+        curve.tau, adev, low, high, curve.is_uncertain, model, upper, parts, limits, marks
     )

@@ -154,7 +154,7 @@ def draw_axes(panel: Axes, axes: Mapping[str, AxisResult], units: str = 'deg/h')
 
 
 def _new_figure(rows: int, title: str) -> tuple[Figure, Any]:
-    """Return a figure and its panels, (rows,), one below the other with one horizontal axis."""
+    """Return a figure and its panels, (rows,), which share the horizontal axis."""
     size = (WIDTH_IN, HEAD_IN + ROW_IN * rows)
     figure = _ShownFigure(figsize=size, layout='constrained')
     panels = figure.subplots(rows, sharex=True, squeeze=False)[:, 0]
@@ -191,7 +191,7 @@ def _draw_axis(panel: Axes, name: str, axis: AxisResult, units: str) -> None:
         curve.tau, curve.model, curve.upper, color='k', alpha=LIMIT_ALPHA, lw=0, label=label
     )
     # each mark shows where the deviation of a term equals the coefficient of this term
-    for term, (tau, value) in curve.read.items():
+    for term, (tau, value) in curve.marks.items():
         panel.plot([tau], [value], '+', color=TERM_STYLES[term][0], ms=7.0, mew=1.2)
     panel.set_ylim(0.45 * np.nanmin(curve.adev), 1.8 * np.nanmax(curve.adev))
 

@@ -254,7 +254,7 @@ def used_samples(results: Results) -> str:
 
 
 def headline(results: Results) -> str:
-    """Return name of the IMU, samples, rate, time at rest, and method of the fit as one line."""
+    """Return one line: name of the IMU, samples, rate, time at rest, segments and fit method."""
     name = results.identity.label or 'IMU'
     return (
         f'{name}: {used_samples(results)} at {results.rate_hz:.5g} Hz, '

@@ -150,7 +150,7 @@ def render_report(
 
 
 def _fold(id: str, title: str, content: Sequence[str], shown: bool = False) -> Iterator[str]:
-    """Yield the HTML of a section that can be opened and closed; nothing without any content."""
+    """Yield the HTML of a section that can be opened and closed; nothing if it would be empty."""
     if any(content):
         yield f'<details id="{id}"{" open" if shown else ""}><summary><h2>{title}</h2></summary>'
         yield from content

@@ -116,7 +116,7 @@ def _axis(name: str, axis: AxisResult, tau: Sequence[float]) -> dict[str, Any]:
         **{key: column(values) for key, values in columns.items()},
         'parts': {part: column(adev) for part, adev in curve.parts.items()},
         'upper': {term: column(adev) for term, adev in curve.limits.items()},
-        'read': {term: rounded(point) for term, point in curve.read.items()},
+        'read': {term: rounded(point) for term, point in curve.marks.items()},
         'unresolved': [
             t for t, c in axis.fit.noise.items() if t in curve.parts and c.status != 'estimated'
         ],
@@ -137,8 +137,8 @@ def _references(
             if curve is None or not np.any(curve.adev > 0.0):
                 continue
             has_value = curve.adev > 0.0
-            measured = np.log(curve.tau[has_value]), np.log(curve.adev[has_value])
-            adev = np.exp(np.interp(np.log(tau), *measured, np.nan, np.nan))
+            log_curve = np.log(curve.tau[has_value]), np.log(curve.adev[has_value])
+            adev = np.exp(np.interp(np.log(tau), *log_curve, np.nan, np.nan))
             yield {'name': run, 'axis': name, 'adev': rounded(adev)}
 
 

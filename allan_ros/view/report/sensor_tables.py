@@ -55,7 +55,7 @@ def model_html(axes: Axes) -> Iterator[str]:
 def filter_html(results: Results) -> str:
     """Return an HTML table of imu.yaml: key and value of each number, and how it was computed.
 
-    If a key needs an axis that was not measured, a note states this instead.
+    If imu.yaml cannot be written, a note states the reason instead.
     """
     try:
         table = filter_table(results)
