@@ -146,15 +146,15 @@ def decompress(data: bytes | memoryview, compression: str, limit: int) -> bytes:
                 _local.zstd = _zstd().ZstdDecompressor()
             return bytes(_local.zstd.decompress(data))
         if size < 0:
-            plain = bytes(_expanding(BytesIO(data), compression).read(limit + 1))
-            size = len(plain)
+            content = bytes(_expanding(BytesIO(data), compression).read(limit + 1))
+            size = len(content)
     except AllanError:
         raise
     except Exception as error:  # each library raises its own exceptions
         raise ValueError(str(error) or type(error).__name__) from error
     if size > limit:
         raise ValueError(f'the data expand to more than {limit} bytes')
-    return plain
+    return content
 
 
 def _stated_size(head: bytes | memoryview, compression: str) -> int:

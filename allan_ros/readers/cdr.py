@@ -206,8 +206,11 @@ def _grouped_by_layout(
             return
     groups: dict[tuple[object, ...], list[int]] = {}
     for row, payload in enumerate(map(bytes, payloads)):
-        kind = payload[:2] if encoding == 'cdr' else b'', payload[_FRAME_AT - 4 : _FRAME_AT]
-        groups.setdefault((len(payload), *kind), []).append(row)
+        layout_fields = (
+            payload[:2] if encoding == 'cdr' else b'',
+            payload[_FRAME_AT - 4 : _FRAME_AT],
+        )
+        groups.setdefault((len(payload), *layout_fields), []).append(row)
     for rows in groups.values():
         group_payloads = [bytes(payloads[row]) for row in rows]
         dtype = _layout_of(group_payloads[0], encoding, rows[0]).dtype

@@ -229,7 +229,7 @@ def _step(times: NDArray[np.float64]) -> float:
 def _unit_by_size(times: NDArray[np.float64]) -> str:
     """Return the unit in which stamps, (n,), are times since 1970; '' if there is no such unit.
 
-    In this unit, the median of the positive increments must be a plausible sample period.
+    In this unit, the median of the positive increments, if any, must be a plausible period.
     """
     for unit in RECOGNIZED_UNITS:
         unit_ns = STAMP_UNITS[unit]
@@ -268,7 +268,7 @@ def columns_of(where: object, names: Iterable[str], options: ReadOptions) -> Col
     units: dict[str, str] = {}
     assumed: dict[str, str] = {}
     times: dict[str, tuple[int, int]] = {}
-    not_units: dict[str, str] = {}
+    unknown_units: dict[str, str] = {}
     temperature = None
     unrecognized = []
     axis_names: dict[str, str] = {}
@@ -297,15 +297,15 @@ def columns_of(where: object, names: Iterable[str], options: ReadOptions) -> Col
             if temperature is None and not unknown:
                 temperature = column, unit
         elif kind:
-            not_units.setdefault(kind, unknown)
+            unknown_units.setdefault(kind, unknown)
             stated_unit = unit or options.stamp_unit or ('s' if kind == 'record' else '')
             times.setdefault(kind, (column, STAMP_UNITS.get(stated_unit, NO_UNIT)))
         elif name.strip() != LEFT_OUT:
             unrecognized.append(name.strip())
-    if not_units.get('record'):
+    if unknown_units.get('record'):
         raise AllanError(
-            f'{where}: the unit {not_units["record"]!r} of the record times is unknown: use one of '
-            f'{", ".join(STAMP_UNITS)}'
+            f'{where}: the unit {unknown_units["record"]!r} of the record times is unknown: use '
+            f'one of {", ".join(STAMP_UNITS)}'
         )
     stamp_kinds: tuple[str, ...] = next(
         (kinds for kinds in _STAMPS if times.keys() >= set(kinds)), ()
@@ -317,7 +317,7 @@ def columns_of(where: object, names: Iterable[str], options: ReadOptions) -> Col
         temperature,
         units,
         assumed,
-        unclear_time=not_units[stamp_kinds[0]] if stamp_kinds else '',
+        unclear_time=unknown_units[stamp_kinds[0]] if stamp_kinds else '',
         unrecognized=tuple(unrecognized),
     )
 
@@ -409,16 +409,17 @@ def _meaning(name: str) -> Meaning:
     >>> _meaning('Gyro X [deg/sec]')[:3], _meaning('label').kind
     (('gyro', 'x', 'deg/s'), '')
     """
-    text, bracket = _base_and_unit(name)
-    base = re.sub(r'[^a-z0-9]+', '_', text).strip('_')
+    text, bracket_text = _base_and_unit(name)
+    plain_name = re.sub(r'[^a-z0-9]+', '_', text).strip('_')
     # tables of this package and ROS messages have these names, and values in SI
-    is_si = base in AXES or 'angular_velocity' in base or 'linear_acceleration' in base
-    bracket_unit = unit_named(bracket, SAMPLE_SPELLINGS)
+    si_words = ('angular_velocity', 'linear_acceleration')
+    is_si = plain_name in AXES or any(word in plain_name for word in si_words)
+    bracket_unit = unit_named(bracket_text, SAMPLE_SPELLINGS)
     sensor = next((s for s in SENSORS if bracket_unit in SAMPLE_UNITS[s]), '')
-    matches = ((k, pattern.search(base), unit) for k, pattern, unit in _KINDS)
+    matches = ((k, pattern.search(plain_name), unit) for k, pattern, unit in _KINDS)
     first_match = next(((k, match, unit) for k, match, unit in matches if match), None)
     if first_match is None:
-        axis = _ONLY_AXIS.search(base)
+        axis = _ONLY_AXIS.search(plain_name)
         return Meaning(sensor, axis[1], bracket_unit) if sensor and axis else Meaning('')
     kind, match, implied_unit = first_match
     groups = match.groupdict()
@@ -426,12 +427,12 @@ def _meaning(name: str) -> Meaning:
         return Meaning(kind, '', implied_unit)
     if len(text) < 4 and kind in SENSORS and sensor:
         kind = sensor  # a unit is more reliable than the letter g, a or w in a name
-    spelled = bracket or groups['unit'] or groups.get('inner') or ''
-    unit = unit_named(spelled, _SPELLINGS[kind])
+    unit_text = bracket_text or groups['unit'] or groups.get('inner') or ''
+    unit = unit_named(unit_text, _SPELLINGS[kind])
     if kind in SENSORS and unit and unit not in SAMPLE_UNITS[kind]:
         unit = ''  # this is a unit of the other sensor
-    is_no_unit = kind not in (*SENSORS, 'temperature') and plain_unit(spelled) in NO_UNITS
-    unknown = spelled if spelled and not unit and not is_no_unit else ''
+    is_no_unit = kind not in (*SENSORS, 'temperature') and plain_unit(unit_text) in NO_UNITS
+    unknown = unit_text if unit_text and not unit and not is_no_unit else ''
     return Meaning(kind, groups.get('axis') or '', unit or implied_unit, unknown, is_si)
 
 

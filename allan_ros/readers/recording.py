@@ -215,8 +215,8 @@ def damaged(path: Path, reason: object, remedy: str) -> AllanError:
     remedy : str
         What the user should do.
     """
-    words = ' '.join(str(reason).split())[:160] or type(reason).__name__
-    return AllanError(f'{path}: cannot be read ({words}): {remedy}')
+    reason_text = ' '.join(str(reason).split())[:160] or type(reason).__name__
+    return AllanError(f'{path}: cannot be read ({reason_text}): {remedy}')
 
 
 @contextmanager
@@ -237,9 +237,9 @@ def optional_package(module: str, purpose: str) -> Any:
     except ImportError:
         package = module.split('.')[0]
         # on Ubuntu, pip cannot install into the system (PEP 668)
-        by_apt = f' or "apt install python3-{package}"' if package in ('lz4', 'zstandard') else ''
+        apt_hint = f' or "apt install python3-{package}"' if package in ('lz4', 'zstandard') else ''
         raise AllanError(
-            f'{purpose} needs the Python package {package!r}: "pip install {package}"{by_apt}'
+            f'{purpose} needs the Python package {package!r}: "pip install {package}"{apt_hint}'
         ) from None
 
 

@@ -138,10 +138,10 @@ def _no_imu(path: Path, survey: Survey) -> AllanError:
         if truncation
         else ''
     )
-    busiest = sorted(survey.topics, key=lambda key: (-survey.counts[key], key))
+    keys_by_count = sorted(survey.topics, key=lambda key: (-survey.counts[key], key))
     return AllanError(
-        f'{path}: no sensor_msgs/Imu topic; it has {survey.listed(busiest) or "no topic"}{read}: '
-        'record the topic of the IMU'
+        f'{path}: no sensor_msgs/Imu topic; it has {survey.listed(keys_by_count) or "no topic"}'
+        f'{read}: record the topic of the IMU'
     )
 
 
@@ -232,18 +232,18 @@ class _Reader:
             yield block if len(rows) == len(block) else block.chosen(rows)
 
     def _decoded(self, file: Path, blocks: Iterable[Messages]) -> Iterator[ImuBatch]:
-        done = 0  # number of messages in earlier blocks of this file
+        earlier_messages = 0  # number in earlier blocks of this file
         for block in blocks:
             try:
                 imus = decode_imus(_decompressed(block.payloads), _encoding(self.topic))
             except MalformedMessage as error:
                 raise AllanError(
-                    f'{file}: message {done + error.index + 1} of {self.topic.name} is not '
-                    f'a {self.topic.type} ({error}): record it again'
+                    f'{file}: message {earlier_messages + error.index + 1} of {self.topic.name} is '
+                    f'not a {self.topic.type} ({error}): record it again'
                 ) from error
             self._wrongly_absent.update(imus.kept)
             yield from imus.batches(block.record_ns)
-            done += len(block)
+            earlier_messages += len(block)
 
     def temperature(self, frame_id: str) -> TemperatureTrace | None:
         """Return the temperature over time; None if the topic of this IMU cannot be determined.
@@ -325,8 +325,10 @@ def _thermometers(topics: Sequence[Topic], imu_topic: str) -> list[Topic]:
     """
     temperature_topics = [topic for topic in topics if topic.type == TEMPERATURE_TYPE]
     longest = max((_shared(topic.name, imu_topic) for topic in temperature_topics), default=0)
-    nearest = [topic for topic in temperature_topics if _shared(topic.name, imu_topic) == longest]
-    return nearest if len(nearest) <= MAX_THERMOMETERS else []
+    nearest_topics = [
+        topic for topic in temperature_topics if _shared(topic.name, imu_topic) == longest
+    ]
+    return nearest_topics if len(nearest_topics) <= MAX_THERMOMETERS else []
 
 
 def _shared(name: str, other: str) -> int:

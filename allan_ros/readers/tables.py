@@ -251,9 +251,9 @@ def _names(
     if len(first_cells) == len(TOPIC_NAMES) and are_values.count(False) == 1 and not are_values[2]:
         return TOPIC_NAMES, 0
     if not all(are_values):
-        names, line = first_cells, number
+        names, header_line = first_cells, number
     elif len(comment_cells) == len(first_cells) and not all(map(_is_value, comment_cells)):
-        names, line = tuple(cell.strip() for cell in comment_cells), 0
+        names, header_line = tuple(cell.strip() for cell in comment_cells), 0
     else:
         raise AllanError(
             f'{path}: has {len(first_cells)} columns of numbers and no header: '
@@ -261,7 +261,7 @@ def _names(
         )
     return (
         picked_names(path, names, given_names) if are_pairs else names_by_file(path.stem, names)
-    ), line
+    ), header_line
 
 
 def _number(cell: str) -> float:
@@ -416,8 +416,9 @@ def _date(text: str) -> int:
     match = WHOLE_DATE.fullmatch(text)
     if not match:
         raise ValueError('not a date')
-    minute = int(np.datetime64(match['minute'].replace(' ', 'T'), 'm').astype(np.int64))
+    minutes = int(np.datetime64(match['minute'].replace(' ', 'T'), 'm').astype(np.int64))
     if match['sign']:
-        minute -= int(f'{match["sign"]}1') * (60 * int(match['hours']) + int(match['minutes'] or 0))
+        offset = 60 * int(match['hours']) + int(match['minutes'] or 0)
+        minutes -= int(f'{match["sign"]}1') * offset
     fraction = f'{match["part"] or "":0<9}'[:9]
-    return (60 * minute + int(match['second'] or 0)) * 10**9 + int(fraction)
+    return (60 * minutes + int(match['second'] or 0)) * 10**9 + int(fraction)

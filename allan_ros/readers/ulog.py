@@ -153,7 +153,7 @@ def _samples(name: str, data: dict[str, NDArray[Any]]) -> tuple[ImuBatch, float]
             seconds = data.get(f'{field}_dt', data.get('dt', np.zeros(1))) * 1e-6
             seconds = np.where(seconds > 0.0, seconds, np.nan)
             samples[:, SENSORS[sensor]] = _vectors(data, field) / seconds[:, None]
-        integration = data.get('delta_angle_dt', data.get('dt', np.zeros(1)))
+        integration_times = data.get('delta_angle_dt', data.get('dt', np.zeros(1)))
     else:
         samples[:, SENSORS['gyro']] = _vectors(data, 'gyro_rad')
         samples[:, SENSORS['accel']] = _vectors(data, 'accelerometer_m_s2')
@@ -161,9 +161,9 @@ def _samples(name: str, data: dict[str, NDArray[Any]]) -> tuple[ImuBatch, float]
         # this value marks a sample without acceleration
         absent_rows = np.flatnonzero(relative_stamps == 0x7FFFFFFF)
         samples[absent_rows, SENSORS['accel']] = np.nan
-        integration = data.get('gyro_integral_dt', np.zeros(1))
-    unit = 1.0 if integration.dtype.kind == 'f' else 1e-6  # older logs state the time in s
-    return ImuBatch(stamps, samples, record, name), float(np.median(integration)) * unit
+        integration_times = data.get('gyro_integral_dt', np.zeros(1))
+    unit = 1.0 if integration_times.dtype.kind == 'f' else 1e-6  # older logs state the time in s
+    return ImuBatch(stamps, samples, record, name), float(np.median(integration_times)) * unit
 
 
 def _temperature(log: Any, data: Any) -> TemperatureTrace | None:

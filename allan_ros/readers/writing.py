@@ -106,15 +106,15 @@ def _draft(path: Path, overwrite: bool) -> Iterator[Path]:
         raise AllanError(f'{path} is a folder, but not a bag: choose another name')
     path.parent.mkdir(parents=True, exist_ok=True)
     # the draft has the final name in a temporary folder, because rosbags names files after the bag
-    scratch = Path(tempfile.mkdtemp(prefix=f'.{path.name}.', dir=path.parent))
+    temporary_folder = Path(tempfile.mkdtemp(prefix=f'.{path.name}.', dir=path.parent))
     try:
-        draft = scratch / path.name
+        draft = temporary_folder / path.name
         yield draft
         if path.is_dir():
-            path.rename(scratch / 'replaced')
+            path.rename(temporary_folder / 'replaced')
         draft.replace(path)
     finally:
-        shutil.rmtree(scratch, ignore_errors=True)
+        shutil.rmtree(temporary_folder, ignore_errors=True)
 
 
 def _write_bag(path: Path, batches: Iterable[ImuBatch], topic: str) -> int:
@@ -160,8 +160,10 @@ def _write_npz(path: Path, batches: Iterable[ImuBatch]) -> int:
 
     All samples are kept in memory.
     """
-    whole = joined(list(batches) or [ImuBatch.empty(len(AXES))])
-    imu = np.column_stack([whole.stamps_ns / NANOSECONDS, whole.samples])
+    all_samples = joined(list(batches) or [ImuBatch.empty(len(AXES))])
+    imu = np.column_stack([all_samples.stamps_ns / NANOSECONDS, all_samples.samples])
     with path.open('wb') as file:
-        np.savez(file, imu=imu, stamps_ns=whole.stamps_ns, frame_id=np.array(whole.frame_id))
-    return len(whole)
+        np.savez(
+            file, imu=imu, stamps_ns=all_samples.stamps_ns, frame_id=np.array(all_samples.frame_id)
+        )
+    return len(all_samples)

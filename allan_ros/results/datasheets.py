@@ -380,14 +380,14 @@ def _source(fields: Fields) -> Source:
 
 
 def _limits(fields: Fields, sensor: str, sources: Collection[str]) -> dict[str, Limit]:
-    walk, units = ('arw' if sensor == 'gyro' else 'vrw'), SI_UNITS[sensor]
-    fields.only(walk, 'noise_density', 'bias_instability')
+    walk_key, units = ('arw' if sensor == 'gyro' else 'vrw'), SI_UNITS[sensor]
+    fields.only(walk_key, 'noise_density', 'bias_instability')
     limits = {}
     # A random walk takes precedence over a noise density, because the random walk is N itself,
     # whereas a density may be one- or two-sided.
     for key, term, meaning in (
         ('noise_density', 'N', 'sided'),
-        (walk, 'N', ''),
+        (walk_key, 'N', ''),
         ('bias_instability', 'B', 'stated_as'),
     ):
         if key in fields:

@@ -220,12 +220,12 @@ def file_in(path: str | os.PathLike[str], name: str) -> str:
     """
     if not Path(path).is_dir():
         return str(path)
-    inside = Path(path) / name
-    if not inside.is_file():
+    file = Path(path) / name
+    if not file.is_file():
         raise AllanError(
             f'{path}: no {name} in this folder: give the folder of an analysis, or the file'
         )
-    return str(inside)
+    return str(file)
 
 
 def labels_of(paths: Sequence[str]) -> list[str]:
