@@ -25,8 +25,7 @@ from ..core.allan.sums import AllanSums
 from ..core.errors import AllanError
 from ..core.findings import Finding
 from ..core.fit.fit_findings import not_noise_findings, with_deviations
-from ..core.fit.model_curve import dominant_regions
-from ..core.fit.result import NoiseModel
+from ..core.fit.result import NoiseModel, dominant_regions
 from ..core.fit.stationary import fit_stationary
 from ..core.imu import AXES
 from ..core.settings import AUTO

@@ -20,8 +20,7 @@ from ..core.filters.growth import Growth, growth_table
 from ..core.filters.noise_parameters import reduce_axis
 from ..core.filters.state_space import StateSpace, state_space
 from ..core.fit.least_squares import fit_curve
-from ..core.fit.model_curve import ModelLine, Region, model_line
-from ..core.fit.result import TERMS, AxisFit, TemperatureModel
+from ..core.fit.result import TERMS, AxisFit, ModelLine, Region, TemperatureModel, model_line
 from ..core.imu import AXES, NANOSECONDS, SI_UNITS, sensor_of
 from ..core.noise import Model
 from ..core.settings import choose, expect

@@ -32,8 +32,7 @@ from ..allan.sums import AllanSums
 from ..estimate import Z_95
 from ..findings import Finding, finding
 from ..noise import FLICKER_FLOOR
-from .model_curve import largest_deviation, model_line
-from .result import AxisFit, NoiseModel
+from .result import AxisFit, NoiseModel, largest_deviation, model_line
 
 TOO_SHORT_S = 20.0
 """Duration of the data at rest in s below which a recording is not judged."""

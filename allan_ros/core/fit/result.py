@@ -1,17 +1,23 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Result types of a fit: terms with intervals, model, and bias over temperature, for each axis."""
+"""Result of a fit: terms with intervals, model and its curve, and bias over temperature of an axis.
+
+The Allan deviation of the model is compared with the measured curve. Cong et al. 2019 also state
+the dominant term in each range of averaging times.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from itertools import groupby, pairwise
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..allan.curve import AllanCurve, AxisCurve
 from ..estimate import Estimate
 from ..fields import Signed
 from ..findings import Finding
@@ -178,6 +184,124 @@ class NoiseModel:
     tau0: float
     axes: Mapping[str, AxisFit]
     findings: tuple[Finding, ...] = field(default=())
+
+
+# --- curve of the model ---------------------------------------------------------------------------
+
+
+SIGNIFICANT = 3.0
+"""Least deviation of a point from the model that is significant, in error bars of the point."""
+
+MIN_WIDTH = 3.0
+"""Smallest ratio tau_high/tau_low of a range with a single dominant term: half a decade."""
+
+
+class ModelLine(NamedTuple):
+    """Allan deviation of the model at the points of a curve, for drawing.
+
+    Both arrays are NaN at averaging times that the model does not describe.
+
+    Attributes
+    ----------
+    adev : (factors,) float64 array
+        Allan deviation of the model.
+    upper : (factors,) float64 array
+        Allan deviation of the model with every unresolved term at its 95 % upper limit.
+    """
+
+    adev: Floats
+    upper: Floats
+
+
+def model_line(fit: AxisFit, tau0: float, m: NDArray[np.int64]) -> ModelLine:
+    """Return the Allan deviation of the model at the averaging factors ``m`` of a curve, in SI.
+
+    ``m`` and both arrays of the result are (factors,). ``tau0`` is the sample period in s.
+    The Allan deviation is NaN below the shortest averaging time that the model describes, and where
+    the Allan variance of the model is not above 0.
+    """
+    # the Allan variance of a model with a low-pass filter may be negative at short times
+    with np.errstate(invalid='ignore'):
+        line, upper = (
+            np.sqrt(model.avar(m * tau0, tau0)) for model in (fit.model, fit.model_at_limits)
+        )
+    is_described = (m >= fit.m_min) & (line > 0.0)
+    return ModelLine(np.where(is_described, line, np.nan), np.where(is_described, upper, np.nan))
+
+
+def largest_deviation(line: ModelLine, curve: AxisCurve) -> Deviation | None:
+    """Return the largest significant deviation of a measured curve from the model, or None.
+
+    A point between ``line.adev`` and ``line.upper`` has no deviation. A higher point is compared
+    with ``line.upper``, a lower point with ``line.adev``. A deviation is significant if it exceeds
+    `SIGNIFICANT` error bars of the point on a logarithmic axis. Uncertain points are not compared.
+    """
+    adev, low, high = curve.adev, curve.ci_low, curve.ci_high
+    with np.errstate(divide='ignore', invalid='ignore'):
+        nearest = np.clip(adev, line.adev, line.upper)
+        difference = np.log(adev / nearest)
+        error_bar = np.where(difference > 0.0, np.log(adev / low), np.log(high / adev))
+        is_large = np.abs(difference) > SIGNIFICANT * error_bar
+        is_significant = ~curve.is_uncertain & (adev > 0.0) & is_large
+    if not is_significant.any():
+        return None
+    largest = int(np.argmax(np.where(is_significant, np.abs(difference), -1.0)))
+    return Deviation(math.expm1(difference[largest]), float(curve.tau[largest]))
+
+
+@dataclass(frozen=True)
+class Region:
+    """Range of averaging times, and the noise that dominates in this range.
+
+    Attributes
+    ----------
+    tau_low, tau_high : float
+        Ends of the range in s.
+    term : str
+        Term or process with the largest share of the Allan variance. If no term or process
+        dominates over a factor of 3 in tau, several names are joined by '+'.
+    """
+
+    tau_low: float
+    tau_high: float
+    term: str
+
+
+def dominant_regions(curve: AllanCurve, fit: AxisFit) -> list[Region]:
+    """Return ranges of averaging times, each with its dominant term.
+
+    A term or process dominates where it has the largest share of the Allan variance of the model.
+    Adjacent ranges that are narrower than a factor of 3 in tau are merged. A narrow range
+    without a narrow neighbor gets the two terms with the largest shares.
+
+    The ranges are contiguous, cover the measured curve, and are sorted by tau. The list is empty if
+    the model or the curve is empty.
+    """
+    tau0 = curve.tau[0] / curve.m[0] if len(curve.m) else math.nan
+    parts = fit.model.contributions(curve.tau, tau0) if len(curve.m) else {}
+    if not parts:
+        return []
+    names = list(parts)
+    variances = np.stack(list(parts.values()), axis=1)
+    shares = variances / variances.sum(axis=1, keepdims=True)
+    edges = np.concatenate([curve.tau[:1], np.sqrt(curve.tau[1:] * curve.tau[:-1]), curve.tau[-1:]])
+    largest = np.argmax(shares, axis=1)
+    bounds = [0, *(np.flatnonzero(np.diff(largest)) + 1).tolist(), len(largest)]
+    regions = []
+    for is_wide, group in groupby(
+        pairwise(bounds), key=lambda ends: bool(edges[ends[1]] >= MIN_WIDTH * edges[ends[0]])
+    ):
+        ranges = list(group)
+        for first, end in ranges if is_wide else [(ranges[0][0], ranges[-1][1])]:
+            dominant = np.unique(largest[first:end])
+            if not is_wide and len(dominant) == 1:
+                dominant = np.sort(np.argsort(shares[first:end].mean(axis=0))[-2:])
+            term = '+'.join(names[k] for k in dominant.tolist())
+            regions.append(Region(float(edges[first]), float(edges[end]), term))
+    return regions
+
+
+# --- bias over temperature ------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)

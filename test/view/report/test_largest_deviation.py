@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import allan_ros as ar
-from allan_ros.core.fit.model_curve import SIGNIFICANT
+from allan_ros.core.fit.result import SIGNIFICANT
 from allan_ros.view.format import deviation_text
 from allan_ros.view.report.chart_data import rounded, sensor_charts
 from allan_ros.view.report.sensor_tables import model_html

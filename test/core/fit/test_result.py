@@ -9,8 +9,14 @@ from support.allan_table import grid_for
 
 from allan_ros.core.allan.curve import AllanCurve, chi_squared_limits
 from allan_ros.core.estimate import Estimate
-from allan_ros.core.fit.model_curve import dominant_regions, largest_deviation, model_line
-from allan_ros.core.fit.result import TERMS, AxisFit, model_of_terms
+from allan_ros.core.fit.result import (
+    TERMS,
+    AxisFit,
+    dominant_regions,
+    largest_deviation,
+    model_line,
+    model_of_terms,
+)
 from allan_ros.core.imu import from_datasheet
 from allan_ros.core.noise import GaussMarkov, Model
 
