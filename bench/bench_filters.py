@@ -34,7 +34,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 import allan_ros as ar
 from allan_ros.core.filters.bias import BiasFilter, BiasModel
 from allan_ros.core.filters.growth import predicted_growth
-from allan_ros.core.filters.reductions import reduce_model
+from allan_ros.core.filters.noise_parameters import reduce_model
 from allan_ros.core.imu import AXES
 from allan_ros.core.noise import GaussMarkov, Model
 from allan_ros.export import ExportOptions, make_export

@@ -16,7 +16,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from ..core.errors import AllanError, one_line
-from ..core.filters.reductions import horizon_text
+from ..core.filters.noise_parameters import horizon_text
 from ..core.findings import Finding, finding
 from ..core.number_text import LIMIT_DIGITS, duration_text, significant
 from ..results.from_datasheet import FROM_DATASHEET

@@ -20,8 +20,7 @@ from dataclasses import replace
 
 from ..core.errors import AllanError
 from ..core.estimate import Estimate
-from ..core.filters.growth import interval_models
-from ..core.filters.reductions import FilterLevel
+from ..core.filters.noise_parameters import FilterLevel
 from ..core.filters.state_space import StateSpace
 from ..core.imu import AXES, SI_UNITS, sensor_of
 from ..core.noise import Model
@@ -141,7 +140,7 @@ def madgwick_rows(noise: FilterNoise) -> Iterator[Row]:
             white = n / math.sqrt(horizon)
             return MADGWICK_FACTOR * math.hypot(factors['N'] * white, factors['K'] * drift, bias)
 
-        models_at_ends = interval_models(result.fit)
+        models_at_ends = result.fit.models_at_ends()
         low, high = map(gain, models_at_ends, white.interval) if models_at_ends else (0.0, math.inf)
         value = gain(result.fit.model, white.value)
         estimate = Estimate(

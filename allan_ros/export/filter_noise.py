@@ -20,13 +20,14 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from ..core.errors import AllanError
-from ..core.filters.noise_parameters import axis_level, reduce_axis
-from ..core.filters.reductions import (
+from ..core.filters.noise_parameters import (
     FilterLevel,
     Reduction,
     States,
+    axis_level,
     closest_process,
     horizon_text,
+    reduce_axis,
 )
 from ..core.findings import Finding, finding
 from ..core.imu import AXES, HOUR, SENSORS, SI_UNITS, UNITS, sensor_of

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import yaml
 
 from ..core.errors import AllanError, one_line
-from ..core.filters.reductions import HORIZON_S, FilterLevel
+from ..core.filters.noise_parameters import HORIZON_S, FilterLevel
 from ..core.findings import Finding
 from ..core.imu import SENSORS
 from ..core.settings import CheckedSettings, check_range, parameter

@@ -27,7 +27,7 @@ from std_msgs.msg import String
 
 from ..core.errors import AllanError, one_line
 from ..core.estimate import Estimate
-from ..core.filters.noise_parameters import Variances, white_ratio, white_variances
+from ..core.filters.white_variances import Variances, white_ratio, white_variances
 from ..core.findings import Finding, finding
 from ..core.imu import AXES, SENSORS, ImuIdentity, sensor_of
 from ..core.stream.present_faults import noise_ratios

@@ -14,7 +14,7 @@ import numpy as np
 from ..core.allan.common_noise import CommonNoise
 from ..core.check import Check
 from ..core.estimate import NOTHING_KNOWN, UNKNOWN, Estimate
-from ..core.filters.reductions import horizon_text
+from ..core.filters.noise_parameters import horizon_text
 from ..core.fit.result import TERMS
 from ..core.imu import SI_UNITS, sensor_of, shown_unit
 from ..core.number_text import prefixed, significant

@@ -16,7 +16,7 @@ from allan_ros.cli.result_lines import (
     results_lines,
 )
 from allan_ros.core.estimate import Estimate, interval_text, value_text
-from allan_ros.core.filters.reductions import FilterLevel
+from allan_ros.core.filters.noise_parameters import FilterLevel
 from allan_ros.core.findings import CATALOG, Finding, finding
 from allan_ros.core.fit.result import TERMS, Deviation
 from allan_ros.core.imu import shown_unit

@@ -13,7 +13,7 @@ pytest.importorskip('rclpy')
 
 from geometry_msgs.msg import TwistWithCovarianceStamped
 
-from allan_ros.core.filters.noise_parameters import white_ratio
+from allan_ros.core.filters.white_variances import white_ratio
 from allan_ros.core.findings import finding
 from allan_ros.core.imu import ImuBatch
 from allan_ros.core.stream.pipeline import ImuStream

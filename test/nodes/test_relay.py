@@ -18,7 +18,7 @@ pytest.importorskip('rclpy')
 from std_msgs.msg import String
 
 from allan_ros.core.errors import AllanError
-from allan_ros.core.filters.noise_parameters import white_variances
+from allan_ros.core.filters.white_variances import white_variances
 from allan_ros.core.imu import ImuBatch
 from allan_ros.core.stream.pipeline import ImuStream
 from allan_ros.readers.cdr import CovariancePatch, encode_imus, imu_dtype

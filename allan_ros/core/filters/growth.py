@@ -15,7 +15,6 @@ A constant bias does not change e. The variance of e therefore follows from gamm
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -154,13 +153,13 @@ def growth_table(
     h = np.array(horizons)
     model = fit.model.drift
     std = predicted_growth(model, h, window)
-    end_models = interval_models(fit, predictive=False)
+    end_models = fit.models_at_ends(predictive=False)
     if end_models is None:
         return tuple(
             Growth(float(horizon), window, Estimate(float(value))) for horizon, value in zip(h, std)
         )
     low, high = (model_at_end.drift for model_at_end in end_models)
-    high = high.changed(**{t: high.value(t) or _limit(fit, t) for t in 'NBKR'})
+    high = high.changed(**{t: high.value(t) or fit.limit(t) for t in 'NBKR'})
     parts = [growth_parts(model_at_end, h, window) for model_at_end in (model, low, high)]
     zero = np.zeros(len(h))
     total, distance_below, distance_above, scatter = zero, zero, zero, zero
@@ -198,49 +197,3 @@ def growth_table(
         )
         for i in range(len(h))
     )
-
-
-def _limit(fit: AxisFit, term: str) -> float:
-    """Return the 95 % upper limit of a term, or 0 if this limit is unknown or infinite."""
-    value = fit.noise[term].upper95
-    return value if value is not None and math.isfinite(value) else 0.0
-
-
-def interval_models(fit: AxisFit, predictive: bool = True) -> tuple[Model, Model] | None:
-    """Return two models of an axis with coefficients at the ends of their 95 % intervals.
-
-    The first model has all coefficients at the lower ends, the second model at the upper ends. The
-    interval of a term that has only an upper limit begins at 0. R is replaced by its magnitude, and
-    Q by 0. Shapes and sinusoids are unchanged.
-
-    Parameters
-    ----------
-    fit : AxisFit
-        Fit of one axis.
-    predictive : bool
-        Whether the predictive intervals are used; if not, the intervals for the recording are used.
-
-    Returns
-    -------
-    (Model, Model) or None
-        None if N, B, K or R of the model has neither an interval nor a limit.
-    """
-    intervals: dict[str, tuple[float, float]] = {}
-    for term in 'NBKR':
-        coefficient, limit = fit.noise[term].magnitude, _limit(fit, term)
-        ci95 = coefficient.ci95 if predictive else coefficient.recording_ci95
-        if not fit.model.value(term):
-            intervals[term] = 0.0, 0.0
-        elif ci95 is not None:
-            intervals[term] = max(ci95[0], 0.0), ci95[1]
-        elif limit:
-            intervals[term] = 0.0, limit
-        else:
-            return None
-    low, high = (
-        fit.model.at_end(end, fit.drift_scatter if predictive else 0.0).changed(
-            Q=0.0, **{term: ends[end] for term, ends in intervals.items()}
-        )
-        for end in (0, 1)
-    )
-    return low, high

@@ -1,25 +1,315 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Noise parameters for a state estimator, computed from the noise models of the axes.
+"""Noise parameters for a state estimator, from fitted coefficients and reduced-order models.
 
 N and K are continuous-time noise densities: roots of two-sided power spectral densities. They are
 the fitted coefficients (`axis_level`) or the parameters of a reduced-order model (`reduce_axis`).
+
+Reduced-order models
+--------------------
+A state estimator with the parameters N and K underestimates its error if the sensor also has bias
+instability. A `Reduction` has larger parameters, with which the state estimator predicts at least
+the error that the complete model predicts, at all horizons.
+
+Horizons
+--------
+A horizon is a time of integration without a correction. It is assumed that the bias was averaged,
+before the integration, over a time of the length of the longest horizon.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from functools import lru_cache
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
 
 from ..check import Check, check_limits
 from ..errors import AllanError
 from ..estimate import Estimate
 from ..fit.result import AxisFit
-from ..imu import AXES, SENSORS
-from ..noise import Model
-from .growth import interval_models
-from .reductions import HORIZON_S, FilterLevel, Reduction, States, reduce_model
+from ..noise import Model, Process
+from ..noise.model import BY_LETTER
+from .growth import predicted_growth
+from .state_space import has_states, state_space, white_density
+
+Floats = NDArray[np.float64]
+
+States = Literal['none', 'walk', 'processes']
+"""Bias model of a state estimator: no bias state ('none'), a random walk ('walk'), or a random walk
+and all other processes that have states ('processes')."""
+
+HORIZON_S = 30.0
+"""Longest horizon in s by default: a state estimator that is corrected by a camera or a lidar
+integrates for at most this time between two corrections."""
+
+HORIZONS_PER_RANGE = 30
+"""Number of horizons at which the predicted errors of two models are compared."""
+
+POOR_RATIO = 2.0
+"""Largest accepted ratio of the error that a reduced-order model predicts to the error that the
+complete model predicts. The smallest accepted ratio is the inverse of this number."""
+
+
+def shortest_horizon(longest: float) -> float:
+    """Return the shortest horizon in s: 1 s, or a tenth of ``longest`` if this is shorter."""
+    return min(1.0, longest / 10.0)
+
+
+def horizon_text(longest: float) -> str:
+    """Return the range of horizons up to ``longest`` as text.
+
+    >>> horizon_text(30.0)
+    '1 to 30 s'
+    """
+    return f'{shortest_horizon(longest):g} to {longest:g} s'
+
+
+class FilterLevel(NamedTuple):
+    """Noise parameter for a state estimator: an estimate or its upper limit, possibly increased.
+
+    Attributes
+    ----------
+    estimate : Estimate
+        Positive number in SI: N, B, K or R of an axis, or another parameter. `Estimate.name` states
+        which one. If the number is not resolved, the state estimator gets its 95 % upper limit.
+    raised_from : float or None
+        Fitted coefficient before the increase. If this coefficient is not resolved: 0 for K, and
+        the upper limit for N. None if the value was not increased. Values are increased so that
+        the state estimator does not underestimate its error.
+    """
+
+    estimate: Estimate
+    raised_from: float | None = None
+
+    @property
+    def value(self) -> float:
+        """Number for the state estimator: a resolved estimate, else its upper limit."""
+        known = self.estimate
+        return (known.value if known.resolved else known.upper95) or 0.0
+
+    @property
+    def is_limit(self) -> bool:
+        """Whether the value is an upper limit."""
+        return not self.estimate.resolved
+
+    @property
+    def no_interval(self) -> bool:
+        """Whether the value is a resolved estimate that has no interval and was not increased."""
+        known = self.estimate
+        return known.resolved and known.ci95 is None and self.raised_from is None
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """95 % interval: (0, value) for a limit, (0, inf) if the interval is unknown."""
+        low, high = (0.0, self.value) if self.is_limit else self.estimate.ci95 or (0.0, math.inf)
+        return max(low, 0.0), high
+
+    def raised(self, value: float, fitted: float, ci95: tuple[float, float] | None) -> FilterLevel:
+        """Return this noise parameter, increased from the coefficient ``fitted`` to ``value``.
+
+        ``ci95`` is the 95 % interval of the increased value; None if it is unknown.
+        """
+        if self.is_limit:
+            return FilterLevel(replace(self.estimate, upper95=value), fitted)
+        known = replace(self.estimate, value=value, recording_ci95=ci95, predictive_ci95=None)
+        return FilterLevel(known, fitted)
+
+
+class Reduction(NamedTuple):
+    """Reduced-order model of one axis."""
+
+    model: Model  # N, K and the processes with states that the state estimator assumes
+    # smallest and largest ratio, over all horizons, of the error that the reduced-order model
+    # predicts to the error that the complete model predicts (standard deviations)
+    ratio: tuple[float, float]
+    # N, and K if it is used, with their intervals; empty if the model did not come from the fit of
+    # an axis
+    levels: Mapping[str, FilterLevel]
+
+    @property
+    def poor(self) -> bool:
+        """Whether the predicted error of the complete model is missed by more than a factor of 2.
+
+        The horizon with the largest difference counts.
+        """
+        return self.ratio[1] > POOR_RATIO or self.ratio[0] < 1.0 / POOR_RATIO
+
+
+# --- reduced-order models -------------------------------------------------------------------------
+
+
+@lru_cache(maxsize=64)
+def reduce_model(model: Model, states: States = 'walk', horizon: float = HORIZON_S) -> Reduction:
+    """Return a reduced-order model that predicts at least the errors of the complete model.
+
+    Processes whose integral is bounded, such as quantization and vibration, are excluded.
+
+    Parameters
+    ----------
+    model : Model
+        Complete model of one axis.
+    states : {'none', 'walk', 'processes'}
+        Bias states of the state estimator. They determine which parameters are increased (see
+        Notes).
+    horizon : float
+        Longest horizon in s. The shortest horizon is 1 s, or a tenth of the longest horizon if this
+        is shorter.
+
+    Returns
+    -------
+    Reduction
+        With 'none' and 'walk', no ratio is below 1. With 'processes', the predicted error may be up
+        to 5 % smaller than with the complete model, because B is approximated.
+
+    Notes
+    -----
+    ============  ================================================================================
+    none          N is increased, because white noise represents all drift.
+    walk          K is increased, N is kept. If the result would be poor (see `Reduction.poor`), the
+                  processes with the shortest correlation times are treated as white noise, which
+                  increases N.
+    processes     B becomes four Gauss-Markov processes, and other processes with states are kept.
+                  K is increased for the slowest part of B, and for a ramp and slow sinusoids, which
+                  have no states.
+    ============  ================================================================================
+
+    Examples
+    --------
+    A model with N and K only is not changed:
+
+    >>> reduction = reduce_model(Model.of(N=1e-3, K=1e-5))
+    >>> round(reduction.model.value('K'), 9), [round(ratio, 3) for ratio in reduction.ratio]
+    (1e-05, [1.0, 1.0])
+    """
+    complete = model.drift
+    reductions = [_reduced(complete, 0, states, horizon)]
+    fast = len(_by_time(complete))
+    while states == 'walk' and reductions[-1].poor and len(reductions) <= fast:
+        reductions.append(_reduced(complete, len(reductions), states, horizon))
+    return min(reductions, key=lambda reduction: reduction.poor * reduction.ratio[1])
+
+
+def _by_time(model: Model) -> list[Process]:
+    """Return the processes with states and a correlation time, the fastest process first."""
+    stationary = (p.process for p in model.parts if p.process.parameters and has_states(p.process))
+    return sorted(stationary, key=lambda process: process.slowest_time)
+
+
+def _reduced(complete: Model, fast: int, states: States, horizon: float) -> Reduction:
+    """Return the reduced-order model in which the ``fast`` fastest processes are white noise."""
+    fast_processes = _by_time(complete)[:fast]
+    added_variance = sum(
+        (part.value * white_density(part.process)) ** 2
+        for part in complete.parts
+        if part.process in fast_processes
+    )
+    white_noise, walk = math.sqrt(complete.value('N') ** 2 + added_variance), 0.0
+    drift = complete.where(lambda process: process not in fast_processes).changed(N=0.0)
+    processes: tuple[tuple[float, Process], ...] = ()
+    if states == 'none':
+        squared_level = _growth(drift, horizon) ** 2 / _unit_variance(BY_LETTER['N'], horizon)
+        white_noise = math.sqrt(white_noise**2 + float(np.max(squared_level)))
+    else:
+        # with 'processes', K must cover only noise without states, such as a ramp or sinusoids
+        if states == 'processes':
+            space = state_space(drift.changed(N=white_noise))
+            processes = space.processes
+            drift = drift.where(lambda process: not has_states(process))
+            drift = drift.changed(N=0.0, B=0.0, K=space.walk)
+        squared_level = _growth(drift, horizon) ** 2 / _unit_variance(BY_LETTER['K'], horizon)
+        walk = math.sqrt(float(np.max(squared_level)))
+    model = Model.of(*processes, N=white_noise, K=walk)
+    reduced_errors, complete_errors = (
+        _growth(compared_model, horizon) for compared_model in (model, complete)
+    )
+    if np.any(complete_errors > 0.0):
+        ratio = reduced_errors / complete_errors
+        return Reduction(model, (float(ratio.min()), float(ratio.max())), {})
+    undefined_ratio = math.inf if np.any(reduced_errors > 0.0) else 1.0
+    return Reduction(model, (undefined_ratio, undefined_ratio), {})
+
+
+def horizons(longest: float) -> Floats:
+    """Return the horizons in s, (30,), at which the predicted errors of two models are compared."""
+    return np.geomspace(shortest_horizon(longest), longest, HORIZONS_PER_RANGE)
+
+
+def _growth(model: Model, horizon: float) -> Floats:
+    """Return the predicted standard deviation of the error at 30 horizons up to ``horizon``."""
+    return predicted_growth(model, horizons(horizon), horizon)
+
+
+@lru_cache(maxsize=512)
+def _unit_variance(process: Process, horizon: float) -> Floats:
+    """Return the variance of the error due to a process with the coefficient 1, at 30 horizons."""
+    variance = np.asarray(_growth(Model.of((1.0, process)), horizon) ** 2)
+    variance.setflags(write=False)
+    return variance
+
+
+def closest_process(
+    model: Model,
+    kind: Callable[[float], Process],
+    horizon: float,
+    tau: float | None = None,
+    bound: bool = True,
+) -> tuple[float, float] | None:
+    """Return the single process that replaces all drift of a model with the least error.
+
+    The process minimizes the largest relative difference, over all horizons, between the error that
+    it predicts and the error that the complete model predicts.
+
+    Parameters
+    ----------
+    model : Model
+        Complete model of one axis.
+    kind : function of float
+        Returns the process with a given correlation time in s.
+    horizon : float
+        Longest horizon in s.
+    tau : float, optional
+        Correlation time of the process in s. If it is None, the best correlation time is selected.
+    bound : bool
+        Whether the predicted error must be at least the error of the complete model, as for a state
+        estimator. If False, the predicted error may also be smaller.
+
+    Returns
+    -------
+    (float, float) or None
+        Coefficient in SI and correlation time in s; None if the model has no drift.
+    """
+    complete = model.drift
+    if not complete.has_drift:
+        return None
+    white_variance = complete.value('N') ** 2 * _unit_variance(BY_LETTER['N'], horizon)
+    # the minimum applies only if the drift is below the rounding error of the white noise
+    drift_variance = np.maximum(
+        _growth(complete, horizon) ** 2 - white_variance, np.finfo(float).tiny
+    )
+    grid = np.geomspace(shortest_horizon(horizon) / 3.0, 100.0 * horizon, 60).tolist()
+    model_times = [process.slowest_time for process in _by_time(complete)]
+    best, least_error = (0.0, 1.0), math.inf
+    for time in [*model_times, *grid] if tau is None else [tau]:
+        unit_variance = _unit_variance(kind(time), horizon)
+        variance_ratio = drift_variance / unit_variance
+        low, high = float(variance_ratio.min()), float(variance_ratio.max())
+        variances = [high] if bound else np.geomspace(low, high, 9)
+        for variance in variances:
+            log_ratios = np.log(
+                (white_variance + variance * unit_variance) / (white_variance + drift_variance)
+            )
+            error = float(np.abs(log_ratios).max())
+            if error < least_error - 1e-9:
+                best, least_error = (math.sqrt(variance), time), error
+    return best
+
+
+# --- parameters of an axis ------------------------------------------------------------------------
 
 
 def axis_level(axis: str, fit: AxisFit, term: str) -> FilterLevel:
@@ -101,7 +391,7 @@ def reduce_axis(
     if walk is None and k > 0.0:
         walk = FilterLevel(Estimate(k, fit.noise['K'].ci95, name='K', axis=axis))
     if raises_walk or raises_white:
-        end_models = interval_models(fit) if states in ('none', 'walk') else None
+        end_models = fit.models_at_ends() if states in ('none', 'walk') else None
         end_reductions = [
             reduce_model(end_model, states, horizon).model for end_model in end_models or ()
         ]
@@ -119,67 +409,6 @@ def reduce_axis(
 
 def _range(value: float, ends: Sequence[float]) -> tuple[float, float] | None:
     return (min(*ends, value), max(*ends, value)) if ends else None
-
-
-Variances = tuple[float, float, float]
-"""Variances of x, y and z, in the squared unit of the samples."""
-
-
-def white_variances(
-    axes: Mapping[str, AxisFit], rate: float, inflation: float = 1.0, horizon: float = 0.0
-) -> dict[str, Variances]:
-    """Return the variance of the white noise of one sample, (inflation N)^2 f, for each axis.
-
-    Parameters
-    ----------
-    axes : mapping of axis name to AxisFit
-        Fits of the axes.
-    rate : float
-        Sample rate f in Hz.
-    inflation : float
-        Factor by which N is multiplied.
-    horizon : float
-        If not 0, the longest time in s that a state estimator without bias states integrates. N is
-        then increased until white noise alone predicts at least the error of the complete model.
-
-    Returns
-    -------
-    dict of 'gyro' and 'accel' to (x, y, z)
-        The variances in the squared unit of the samples. A sensor is excluded if N of one of its
-        axes has neither a resolved estimate nor a limit, or if an axis is missing. With a horizon,
-        the same holds for K of an axis whose model has no drift.
-    """
-    stds: dict[str, float] = {}
-    for name, fit in axes.items():
-        with suppress(AllanError):
-            if horizon:
-                white_noise = reduce_axis(name, fit, 'none', horizon).model.value('N')
-            else:
-                white_noise = axis_level(name, fit, 'N').value
-            stds[name] = white_noise * rate**0.5
-    variances = {}
-    for sensor, rows in SENSORS.items():
-        axis_stds = [stds[name] for name in AXES[rows] if name in stds]
-        if len(axis_stds) == 3:
-            x, y, z = ((inflation * std) ** 2 for std in axis_stds)
-            variances[sensor] = (x, y, z)
-    return variances
-
-
-def white_ratio(axes: Mapping[str, AxisFit], horizon: float) -> float:
-    """Return the largest ratio, over all axes, of the upper to the lower end of the interval of N.
-
-    N is increased for a ``horizon`` in s as in `white_variances`. The ratio is infinite if the
-    lower end is 0, or if a term of the model of an axis has neither an interval nor a limit.
-    """
-    ratios = [1.0]
-    for fit in axes.values():
-        end_models = interval_models(fit) or (Model(),) * 2
-        low, high = (
-            reduce_model(end_model, 'none', horizon).model.value('N') for end_model in end_models
-        )
-        ratios.append(high / low if low > 0.0 else math.inf)
-    return max(ratios)
 
 
 def measure_inflation(

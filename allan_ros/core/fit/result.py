@@ -126,6 +126,49 @@ class AxisFit:
         }
         return self.model.changed(**limits)
 
+    def limit(self, term: str) -> float:
+        """Return the 95 % upper limit of a term, or 0 if this limit is unknown or infinite."""
+        value = self.noise[term].upper95
+        return value if value is not None and math.isfinite(value) else 0.0
+
+    def models_at_ends(self, predictive: bool = True) -> tuple[Model, Model] | None:
+        """Return two models with coefficients at the ends of their 95 % intervals.
+
+        The first model has all coefficients at the lower ends, the second model at the upper ends.
+        The interval of a term that has only an upper limit begins at 0. R is replaced by its
+        magnitude, and Q by 0. Shapes and sinusoids are unchanged.
+
+        Parameters
+        ----------
+        predictive : bool
+            Whether the predictive intervals are used; if not, the intervals for the recording are
+            used.
+
+        Returns
+        -------
+        (Model, Model) or None
+            None if N, B, K or R of the model has neither an interval nor a limit.
+        """
+        intervals: dict[str, tuple[float, float]] = {}
+        for term in 'NBKR':
+            coefficient, limit = self.noise[term].magnitude, self.limit(term)
+            ci95 = coefficient.ci95 if predictive else coefficient.recording_ci95
+            if not self.model.value(term):
+                intervals[term] = 0.0, 0.0
+            elif ci95 is not None:
+                intervals[term] = max(ci95[0], 0.0), ci95[1]
+            elif limit:
+                intervals[term] = 0.0, limit
+            else:
+                return None
+        low, high = (
+            self.model.at_end(end, self.drift_scatter if predictive else 0.0).changed(
+                Q=0.0, **{term: ends[end] for term, ends in intervals.items()}
+            )
+            for end in (0, 1)
+        )
+        return low, high
+
 
 def with_scatter(fit: AxisFit, white: float, drift: float) -> AxisFit:
     """Return a fit with the predictive intervals of N, B and K.

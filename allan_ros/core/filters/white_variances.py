@@ -1,0 +1,75 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Variance of the white noise of a sample, for the covariances in messages of an IMU."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from contextlib import suppress
+
+from ..errors import AllanError
+from ..fit.result import AxisFit
+from ..imu import AXES, SENSORS
+from ..noise import Model
+from .noise_parameters import axis_level, reduce_axis, reduce_model
+
+Variances = tuple[float, float, float]
+"""Variances of x, y and z, in the squared unit of the samples."""
+
+
+def white_variances(
+    axes: Mapping[str, AxisFit], rate: float, inflation: float = 1.0, horizon: float = 0.0
+) -> dict[str, Variances]:
+    """Return the variance of the white noise of one sample, (inflation N)^2 f, for each axis.
+
+    Parameters
+    ----------
+    axes : mapping of axis name to AxisFit
+        Fits of the axes.
+    rate : float
+        Sample rate f in Hz.
+    inflation : float
+        Factor by which N is multiplied.
+    horizon : float
+        If not 0, the longest time in s that a state estimator without bias states integrates. N is
+        then increased until white noise alone predicts at least the error of the complete model.
+
+    Returns
+    -------
+    dict of 'gyro' and 'accel' to (x, y, z)
+        The variances in the squared unit of the samples. A sensor is excluded if N of one of its
+        axes has neither a resolved estimate nor a limit, or if an axis is missing. With a horizon,
+        the same holds for K of an axis whose model has no drift.
+    """
+    stds: dict[str, float] = {}
+    for name, fit in axes.items():
+        with suppress(AllanError):
+            if horizon:
+                white_noise = reduce_axis(name, fit, 'none', horizon).model.value('N')
+            else:
+                white_noise = axis_level(name, fit, 'N').value
+            stds[name] = white_noise * rate**0.5
+    variances = {}
+    for sensor, rows in SENSORS.items():
+        axis_stds = [stds[name] for name in AXES[rows] if name in stds]
+        if len(axis_stds) == 3:
+            x, y, z = ((inflation * std) ** 2 for std in axis_stds)
+            variances[sensor] = (x, y, z)
+    return variances
+
+
+def white_ratio(axes: Mapping[str, AxisFit], horizon: float) -> float:
+    """Return the largest ratio, over all axes, of the upper to the lower end of the interval of N.
+
+    N is increased for a ``horizon`` in s as in `white_variances`. The ratio is infinite if the
+    lower end is 0, or if a term of the model of an axis has neither an interval nor a limit.
+    """
+    ratios = [1.0]
+    for fit in axes.values():
+        end_models = fit.models_at_ends() or (Model(),) * 2
+        low, high = (
+            reduce_model(end_model, 'none', horizon).model.value('N') for end_model in end_models
+        )
+        ratios.append(high / low if low > 0.0 else math.inf)
+    return max(ratios)
