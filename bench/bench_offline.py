@@ -67,9 +67,9 @@ def bag(folder: Path, name: str, messages: int) -> Path:
 def table(path: Path) -> int:
     """Compute the Allan deviations of a bag, and return the number of samples."""
     from allan_ros.core.stream.pipeline import ImuStream
-    from allan_ros.readers import open_recordings
+    from allan_ros.readers import open_recording
 
-    (recording,) = open_recordings([path])
+    recording = open_recording(path)
     accumulator = ImuStream()
     for batch in recording.batches():
         accumulator.update(batch)
@@ -80,9 +80,9 @@ def table(path: Path) -> int:
 
 def read(path: Path) -> int:
     """Read a bag into arrays of samples, and return the number of samples."""
-    from allan_ros.readers import open_recordings
+    from allan_ros.readers import open_recording
 
-    (recording,) = open_recordings([path])
+    recording = open_recording(path)
     return sum(map(len, recording.batches()))
 
 

@@ -11,7 +11,7 @@ from typing import Any
 
 from hypothesis import strategies as st
 
-from allan_ros.readers import open_recordings
+from allan_ros.readers import open_recording
 from allan_ros.readers.writing import write_table
 
 from .damage import damaged
@@ -61,7 +61,7 @@ def check(made: tuple[str, bytes], folder: Path) -> bool:
         (folder / name).write_bytes(data if name == storage else content)
     read = 0
     with refused_or_valid() as outcome:
-        (recording,) = open_recordings([folder if len(files) > 1 else folder / storage])
+        recording = open_recording(folder if len(files) > 1 else folder / storage)
         for batch in recording.batches():
             read += len(batch)
         reports = {finding.id for finding in recording.findings}

@@ -15,7 +15,7 @@ import numpy as np
 from allan_ros.core.errors import AllanError
 from allan_ros.core.imu import AXES, ImuBatch, joined
 from allan_ros.core.stream.pipeline import ImuStream
-from allan_ros.readers import ReadOptions, open_recordings
+from allan_ros.readers import ReadOptions, open_recording
 from allan_ros.readers.cdr import IMU_TYPE, encode_imus
 
 MESSAGES = 40
@@ -113,15 +113,15 @@ def read_and_check(path: Path, options: ReadOptions = ReadOptions()) -> bool:
     """
     before = sorted(path.parent.rglob('*'))
     with refused_or_valid() as outcome:
-        for recording in open_recordings([path], options):
-            accumulator = ImuStream()
-            for batch in recording.batches():
-                _check_batch(batch)
-                accumulator.update(batch)
-            accumulator.end()
-            known = accumulator.result()
-            for found in (*recording.findings, *known.findings):
-                check_line(str(found))
+        recording = open_recording(path, options)
+        accumulator = ImuStream()
+        for batch in recording.batches():
+            _check_batch(batch)
+            accumulator.update(batch)
+        accumulator.end()
+        known = accumulator.result()
+        for found in (*recording.findings, *known.findings):
+            check_line(str(found))
     if sorted(path.parent.rglob('*')) != before:
         raise BrokenRule('reading left a file behind')
     return outcome.valid

@@ -35,7 +35,7 @@ from allan_ros.core.errors import AllanError
 from allan_ros.core.imu import ImuBatch
 from allan_ros.core.noise import Model
 from allan_ros.core.simulator import simulate_imu
-from allan_ros.readers import ReadOptions, open_recordings
+from allan_ros.readers import ReadOptions, open_recording
 from allan_ros.readers.cdr import encode_imus
 
 # noise of a good MEMS IMU in SI
@@ -52,7 +52,7 @@ def batches_of(options: argparse.Namespace) -> Iterator[ImuBatch]:
     if options.simulate:
         now = time.time_ns()
         return simulate_imu(options.simulate, options.frequency, GYRO, ACCEL, start_ns=now)
-    return open_recordings([options.input], ReadOptions(topic=options.topic))[0].batches()
+    return open_recording(options.input, ReadOptions(topic=options.topic)).batches()
 
 
 def play(

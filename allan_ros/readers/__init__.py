@@ -9,7 +9,6 @@ returns a `Recording`, which yields samples in SI units as `ImuBatch`.
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable
 from importlib import import_module
 from pathlib import Path
 from typing import NamedTuple, cast
@@ -23,7 +22,7 @@ __all__ = [
     'ReadOptions',
     'Recording',
     'SourceInfo',
-    'open_recordings',
+    'open_recording',
     'topics_of',
 ]
 
@@ -68,15 +67,21 @@ SUFFIXES = tuple(suffix for form in FORMATS.values() for suffix in form.suffixes
 """Suffixes of the files that are read as recordings if they are in a folder."""
 
 
-def open_recordings(
-    paths: Iterable[str | os.PathLike[str]], options: ReadOptions | None = None
-) -> list[Recording]:
-    """Open each path as one recording; a folder that contains a bag is one recording.
+def open_recording(path: str | os.PathLike[str], options: ReadOptions = ReadOptions()) -> Recording:
+    """Open the recording at a path: a file, or a folder that contains a bag.
 
-    Raises AllanError for the first path that cannot be opened.
+    Raises AllanError when the recording cannot be opened.
     """
-    options = options or ReadOptions()
-    return [_open(Path(path), options) for path in paths]
+    place = Path(path)
+    if place.name == METADATA:
+        place = place.parent
+    name = format_of(place)
+    if options.accel_topic and name != 'bag':
+        raise AllanError(f'{place}: is not a bag: omit --accel-topic')
+    if options.topic and not FORMATS[name].has_topics:
+        raise AllanError(f'{place}: has no topics: omit --topic')
+    module = import_module(f'.{FORMATS[name].module}', __package__)
+    return cast(Recording, getattr(module, FORMATS[name].opener)(place, options))
 
 
 def topics_of(path: str | os.PathLike[str]) -> list[str]:
@@ -94,18 +99,6 @@ def topics_of(path: str | os.PathLike[str]) -> list[str]:
         return imu_topics(bag_path)
     except AllanError:
         return []
-
-
-def _open(path: Path, options: ReadOptions) -> Recording:
-    if path.name == METADATA:
-        path = path.parent
-    name = format_of(path)
-    if options.accel_topic and name != 'bag':
-        raise AllanError(f'{path}: is not a bag: omit --accel-topic')
-    if options.topic and not FORMATS[name].has_topics:
-        raise AllanError(f'{path}: has no topics: omit --topic')
-    module = import_module(f'.{FORMATS[name].module}', __package__)
-    return cast(Recording, getattr(module, FORMATS[name].opener)(path, options))
 
 
 def format_of(path: Path) -> str:

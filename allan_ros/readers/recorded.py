@@ -31,7 +31,7 @@ from ..core.stream.drive_recorder import NO_DRIVES, Drives
 from ..core.stream.health import Counts, Event, Segment
 from ..core.stream.pipeline import ImuStream
 from ..core.stream.signal import SignalEnvelope, TemperatureTrace
-from . import open_recordings
+from . import open_recording
 from .recording import ReadOptions, Recording, SourceInfo
 
 
@@ -180,8 +180,7 @@ class ReadJob:
 
         Raises AllanError when the recording cannot be opened.
         """
-        (recording,) = open_recordings([self.path], self.reading)
-        return recording
+        return open_recording(self.path, self.reading)
 
 
 def read_recording(

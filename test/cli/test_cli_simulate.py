@@ -8,7 +8,7 @@ from allan_ros.core.fit.result import TERMS
 from allan_ros.core.imu import shown_unit
 from allan_ros.core.noise import Model
 from allan_ros.core.simulator import PRESETS
-from allan_ros.readers import open_recordings
+from allan_ros.readers import open_recording
 from allan_ros.results.datasheets import load_sensor
 from allan_ros.results.simulation import read_noise, truth_path
 
@@ -17,7 +17,7 @@ SHORT = ['--hours', '0.01', '--rate', '50']  # 1800 samples
 
 def simulate(out, *arguments):
     assert main(['simulate', str(out), *SHORT, *arguments]) == 0
-    (recording,) = open_recordings([str(out)])
+    recording = open_recording(str(out))
     batches = list(recording.batches())
     return (
         np.concatenate([b.stamps_ns for b in batches]),

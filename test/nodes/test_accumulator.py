@@ -22,7 +22,7 @@ from allan_ros.core.allan.document import sums_to_document
 from allan_ros.core.imu import AXES, ImuBatch
 from allan_ros.core.stream.pipeline import ImuStream
 from allan_ros.nodes.accumulation import _events
-from allan_ros.readers import open_recordings
+from allan_ros.readers import open_recording
 from allan_ros.readers.writing import write_recording
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -75,7 +75,7 @@ def test_a_played_bag_gives_the_sums_of_the_bag(graph, still_imu, tmp_path: Path
     assert 'played 11499 messages' in play(str(bag), '--rate', '0').stdout
     saved = graph.call('/allan_accumulator/save')
     assert saved.success, saved.message
-    expected = offline(*open_recordings([bag])[0].batches())
+    expected = offline(*open_recording(bag).batches())
     assert sums_in(checkpoint) == expected
     assert len(expected[0]['lengths']) > 1
     assert graph.until(lambda: graph.value('input', 'lost on the way')) == '0'

@@ -12,7 +12,7 @@ import pytest
 import yaml
 
 from allan_ros.core.errors import AllanError
-from allan_ros.readers import open_recordings
+from allan_ros.readers import open_recording
 from allan_ros.readers.files import config_file, parse_yaml, read_yaml, write_atomic
 from fuzz.folder_target import MERGES, YAML_TRICKS
 
@@ -105,4 +105,4 @@ def test_a_value_that_contradicts_its_tag_is_an_error_of_the_yaml_file(text: str
 def test_metadata_that_would_fill_the_memory_is_rejected(text: str, tmp_path: Path) -> None:
     (tmp_path / 'metadata.yaml').write_text(text)
     with pytest.raises(AllanError, match=r'metadata\.yaml'):
-        open_recordings([tmp_path])
+        open_recording(tmp_path)

@@ -20,7 +20,7 @@ from support.recordings import outcome, read, refused
 from allan_ros import readers as formats
 from allan_ros.cli.analyze import recordings_in
 from allan_ros.core.imu import ImuBatch
-from allan_ros.readers import FORMATS, SUFFIXES, open_recordings
+from allan_ros.readers import FORMATS, SUFFIXES, open_recording
 from allan_ros.readers.recording import BATCH
 
 RNG = np.random.default_rng(6)
@@ -56,7 +56,7 @@ def test_the_samples_are_read_again(written: Written) -> None:
 
 def test_a_recording_is_read_as_often_as_wanted(written: Written) -> None:
     _, path = written
-    (recording,) = open_recordings([path])
+    recording = open_recording(path)
     first, second = ([*recording.batches()] for _ in range(2))
     assert max(map(len, first)) <= BATCH
     for one, other in zip(first, second, strict=True):

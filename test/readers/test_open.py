@@ -130,13 +130,13 @@ def test_units_are_applied_to_bags(name: str, storage: str, tmp_path: Path) -> N
 READ_ALL = """
 import sys
 from allan_ros.core.errors import AllanError
-from allan_ros.readers import open_recordings
+from allan_ros.readers import open_recording
 
 for name in {hidden}:
     sys.modules[name] = None
 for path in sys.argv[1:]:
     try:
-        [recording] = open_recordings([path])
+        recording = open_recording(path)
         print(sum(map(len, recording.batches())), recording.temperature('imu_link') is not None)
     except AllanError as error:
         print(error)

@@ -16,7 +16,7 @@ from support.recordings import imu_batches, outcome, read, refused
 
 from allan_ros.core.errors import AllanError
 from allan_ros.core.imu import ImuBatch, joined
-from allan_ros.readers import open_recordings
+from allan_ros.readers import open_recording
 from allan_ros.readers.cdr import IMU_TYPE, encode_imus
 from allan_ros.readers.writing import write_recording
 from allan_ros.view.finding_text import finding_line
@@ -79,11 +79,11 @@ def test_a_bare_file_and_the_metadata_file_are_the_bag_too(storage: str, tmp_pat
         assert len(read(tmp_path / path).stamps_ns) == 30
 
 
-def test_several_inputs_are_several_recordings(tmp_path: Path) -> None:
+def test_a_path_is_text_or_a_path_and_a_recording_can_be_read_twice(tmp_path: Path) -> None:
     write_recording(tmp_path / 'a', imu_batches(10))
     write_recording(tmp_path / 'b.csv', imu_batches(20))
-    recordings = open_recordings([tmp_path / 'a', str(tmp_path / 'b.csv')])
-    for _ in range(2):  # a recording can be read twice
+    recordings = [open_recording(path) for path in (tmp_path / 'a', str(tmp_path / 'b.csv'))]
+    for _ in range(2):
         assert [sum(map(len, one.batches())) for one in recordings] == [10, 20]
     assert [one.info.path for one in recordings] == [str(tmp_path / 'a'), str(tmp_path / 'b.csv')]
 
@@ -174,7 +174,7 @@ def test_a_name_of_any_bytes_is_shown_in_a_printable_line(name: str, tmp_path: P
     assert back.recording.info.path.isprintable() and set(back.frame_ids) == {frame_id}
     (path / name).write_bytes(b'')
     with pytest.raises(AllanError, match=r'x1b\[31m\\n.*/a.*: is empty') as caught:
-        open_recordings([path / name])
+        open_recording(path / name)
     assert str(caught.value).isprintable()
 
 

@@ -15,7 +15,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from allan_ros.core.imu import ImuBatch
-from allan_ros.readers import ReadOptions, open_recordings
+from allan_ros.readers import ReadOptions, open_recording
 from allan_ros.readers import sqlite3 as bag_sqlite3
 from allan_ros.readers.cdr import IMU_TYPE, decode_imus, encode_imus
 
@@ -109,7 +109,7 @@ def one_by_one(path: Path) -> list[tuple[int, int, str, bytes]]:
 
 def our_way(path: Path) -> list[tuple[int, int, str, bytes]]:
     """Return record time, stamp, frame and samples of each message, read by this package."""
-    [recording] = open_recordings([path], ReadOptions(topic='/imu'))
+    recording = open_recording(path, ReadOptions(topic='/imu'))
     rows = []
     for batch in recording.batches():
         assert batch.record_ns is not None

@@ -15,7 +15,7 @@ import allan_ros as ar
 from allan_ros.cli.main import main
 from allan_ros.core.stream.health import Segment
 from allan_ros.core.stream.signal import Decimated, TemperatureTrace, trace_of
-from allan_ros.readers import open_recordings
+from allan_ros.readers import open_recording
 from allan_ros.readers.recorded import Provenance, RecordingSums
 
 rosbag2 = pytest.importorskip('rosbags.rosbag2')
@@ -65,7 +65,7 @@ def test_the_temperature_topic_of_the_imu_is_found(
     topics: dict[str, tuple[str, float]], imu_topic: str, expected: str | None, tmp_path: Path
 ) -> None:
     write_bag(tmp_path / 'bag', topics, imu_topic)
-    (recording,) = open_recordings([tmp_path / 'bag'])
+    recording = open_recording(tmp_path / 'bag')
     assert sum(map(len, recording.batches())) == 10
     trace = recording.temperature('imu_link')
     if expected is None:
@@ -82,7 +82,7 @@ def test_a_table_has_it_in_a_column(name: str, tmp_path: Path) -> None:
     rows = [f'{t},0,0,0,0,0,9.8,{20 + t}' for t in range(9)]
     text = '\n'.join([f't,gx,gy,gz,ax,ay,az,{name}', *rows, '9,0,0'])
     (tmp_path / 'one.csv').write_text(text)
-    (recording,) = open_recordings([tmp_path / 'one.csv'])
+    recording = open_recording(tmp_path / 'one.csv')
     assert sum(map(len, recording.batches())) == 9
     trace = recording.temperature('')
     assert trace is not None and trace.source == name
@@ -92,7 +92,7 @@ def test_a_table_has_it_in_a_column(name: str, tmp_path: Path) -> None:
 
 def test_another_unit_is_not_read_as_celsius(tmp_path: Path) -> None:
     (tmp_path / 'one.csv').write_text('t,gx,gy,gz,ax,ay,az,temp [K]\n0,0,0,0,0,0,9.8,300\n')
-    (recording,) = open_recordings([tmp_path / 'one.csv'])
+    recording = open_recording(tmp_path / 'one.csv')
     assert recording.temperature('') is None
 
 

@@ -484,12 +484,12 @@ def test_the_unit_of_times_is_recognized(
 def test_any_batch_is_read_back_bit_for_bit(
     tmp_path_factory: pytest.TempPathFactory, drawn: Any
 ) -> None:
-    from allan_ros.readers import open_recordings
+    from allan_ros.readers import open_recording
 
     stamps, samples = drawn
     path = tmp_path_factory.mktemp('table') / 'imu.csv'
     writing.write_table(path, [ImuBatch(stamps, samples, None, 'imu')])
-    [batch] = open_recordings([path])[0].batches()
+    [batch] = open_recording(path).batches()
     np.testing.assert_array_equal(batch.stamps_ns, stamps)
     np.testing.assert_array_equal(batch.samples, samples)
     assert (np.signbit(batch.samples) == np.signbit(samples)).all() or np.isnan(samples).any()

@@ -13,7 +13,7 @@ import numpy as np
 from allan_ros.core.errors import AllanError
 from allan_ros.core.findings import Finding
 from allan_ros.core.imu import ImuBatch, joined
-from allan_ros.readers import ReadOptions, Recording, open_recordings
+from allan_ros.readers import ReadOptions, Recording, open_recording
 
 START_NS = 1_700_000_000_123_456_789
 
@@ -42,7 +42,7 @@ def imu_batches(n: int = 2000, *, parts: int = 3, frame_id: str = 'imu_link') ->
 
 def read(path: Path, **options: Any) -> Contents:
     """Open one recording and read all of it."""
-    [recording] = open_recordings([path], ReadOptions(**options))
+    recording = open_recording(path, ReadOptions(**options))
     batches = list(recording.batches())
     whole = joined(batches)
     return Contents(
@@ -59,9 +59,8 @@ def outcome(path: Path, **options: Any) -> tuple[int, str]:
     """Return the number of samples of a recording, and the error text if it is refused."""
     count = 0
     try:
-        for recording in open_recordings([path], ReadOptions(**options)):
-            for batch in recording.batches():
-                count += len(batch)
+        for batch in open_recording(path, ReadOptions(**options)).batches():
+            count += len(batch)
     except AllanError as error:
         return count, str(error)
     return count, ''
