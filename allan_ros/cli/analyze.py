@@ -274,8 +274,9 @@ def _read_all(
 ) -> Iterator[RecordingSums | Finding]:
     """Yield the Allan sums of each recording.
 
-    The recordings are read in this process, in several processes, or on a cluster. If workers
-    crashed while they read a recording, a finding is yielded instead of the Allan sums.
+    The recordings are read in this process, in several processes, or on a cluster. If workers of a
+    cluster crashed while they read a recording, a finding is yielded instead of the Allan sums.
+    Raises AllanError if a recording cannot be read.
     """
     if args.scheduler and jobs:
         for recorded in on_cluster(jobs, args.scheduler, console):

@@ -131,7 +131,8 @@ def run_batch(jobs: Sequence[ReadJob], args: argparse.Namespace) -> int:
     """Analyze each recording, write its files, and print one line for each recording.
 
     If the command line states a folder for the output, a summary of all recordings is written, too.
-    Returns the worst exit code of the recordings.
+    Returns the worst exit code of the recordings. Raises AllanError if the folder or the summary
+    cannot be written, or the cluster cannot be used.
     """
     console, codes, units = Console.of(args), [], []
     judge = Judge(args, None, decides=False)
@@ -157,7 +158,7 @@ def run_batch(jobs: Sequence[ReadJob], args: argparse.Namespace) -> int:
 def unread_units(folder: str) -> list[Outcome]:
     """Return the units that could not be read, according to the summary in a folder.
 
-    The list is empty if the folder has no summary.
+    The list is empty if the folder has no summary. Raises OSError if the summary cannot be read.
     """
     path = Path(folder) / SUMMARY
     if not path.is_file():
@@ -196,8 +197,8 @@ def run_check(
     Raises
     ------
     AllanError
-        When the test plan is invalid, or the summary cannot be written. Also when the only unit
-        cannot be read, unless the output is JSON.
+        When the test plan is invalid, or the folder or the summary cannot be written. Also when the
+        only unit cannot be read, unless the output is JSON.
     """
     console, judged_units = Console.of(args), []
     plan = load_plan(args.plan) if args.plan else None

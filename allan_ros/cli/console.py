@@ -150,7 +150,7 @@ def colored(stream: TextIO) -> bool:
     """Return whether colors are printed to a stream: by default, if the stream is a terminal.
 
     A non-empty ``NO_COLOR`` turns colors off, and a non-empty ``FORCE_COLOR`` turns them on
-    (no-color.org, force-color.org).
+    (no-color.org, force-color.org). A terminal with ``TERM=dumb`` shows no colors by default.
     """
     if os.environ.get('NO_COLOR'):
         return False

@@ -235,7 +235,10 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _run(words: Sequence[str]) -> int:
-    """Parse the arguments and run the verb; return the exit code."""
+    """Parse the arguments and run the verb; return the exit code.
+
+    Without arguments, print the help and return `EXIT_USAGE`.
+    """
     keep_to_one_thread()
     if not words:
         build_parser().print_help(sys.stderr)

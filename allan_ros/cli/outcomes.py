@@ -157,7 +157,7 @@ def fit_and_write(
     Results
         The results.
     list of str
-        Sorted names of the files.
+        Sorted names of the files; empty if no files are written.
 
     Raises
     ------

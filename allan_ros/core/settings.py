@@ -215,7 +215,7 @@ class SegmenterSettings(CheckedSettings):
     )
     motion_gate: bool = fixed_parameter(
         True,
-        'Use only data at rest. Switch it off if the IMU is known to be at rest.',
+        'Use only data at rest; false uses all data, for an IMU that is known to be at rest.',
         off='use all data; for an IMU that is known to be at rest',
     )
     motion_ratio: float = fixed_parameter(

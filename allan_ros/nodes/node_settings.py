@@ -261,7 +261,7 @@ class PushSettings(CheckedSettings):
 
 @dataclass(frozen=True)
 class MonitorSettings(CheckedSettings):
-    """Output of the monitor for fleets (group ``monitor``)."""
+    """Output of the monitor for the supervision of many robots (group ``monitor``)."""
 
     metrics_file: str = fixed_parameter(
         '',

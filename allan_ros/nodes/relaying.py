@@ -58,7 +58,8 @@ SWITCH_INTERVAL_S = 0.0005
 default is 5 ms)."""
 
 MODEL_GRACE_S = 120.0
-"""Time in s after the start from which a missing noise model is a warning."""
+"""Time in s after the start from which a missing noise model is always a warning. Before this time,
+it is a warning only if the relay passes on covariances of zero."""
 
 DISCOVERY_S = 5.0
 """Time in s after the start from which a missing publisher of the noise model is a warning."""
