@@ -22,7 +22,7 @@ from ..core.imu import SENSORS
 from ..core.settings import CheckedSettings, check_range, parameter
 
 INS_HORIZON_S = 100.0
-"""Longest time in s that a state estimator integrates between corrections by GNSS with outages."""
+"""Longest time in s that a state estimator integrates during an outage of GNSS."""
 
 SIMULATOR_HORIZON_S = 1000.0
 """Time in s up to which a simulated sensor should drift like the measured sensor."""

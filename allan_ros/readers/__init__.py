@@ -61,7 +61,7 @@ FORMATS = {
     'array': Format('arrays', 'open_array', ('.npz', '.npy'), magics=(b'PK\x03\x04', b'\x93NUMPY')),
     'ulog': Format('ulog', 'open_ulog', ('.ulg',), magics=(b'ULog\x01\x12\x35',), has_topics=True),
 }
-"""Name of a format -> format. A folder is always a bag."""
+"""Name of a format -> description of this format. A folder always has the format 'bag'."""
 
 SUFFIXES = tuple(suffix for form in FORMATS.values() for suffix in form.suffixes)
 """Suffixes of the files that are read as recordings if they are in a folder."""

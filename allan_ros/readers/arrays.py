@@ -58,7 +58,8 @@ SAMPLES, STAMPS, RECORD_STAMPS, FRAME = 'imu', 'stamps_ns', 'record_ns', 'frame_
 ZIP_MAGIC = b'PK\x03\x04'
 
 MAX_FRAME_ARRAY_BYTES = 4 * MAX_NAME
-"""Largest size of a frame_id in bytes; numpy stores four bytes for each character."""
+"""Largest accepted size of the array ``frame_id`` in bytes. numpy stores four bytes for each
+character."""
 
 MAX_HEADER_BYTES = 1 << 16
 """Largest accepted size of the header of a numpy file in bytes."""
@@ -185,8 +186,8 @@ def array_in(path: Path, name: str) -> NDArray[Any]:
 def _array(file: IO[bytes], where: str, kinds: str, limit: int) -> NDArray[Any]:
     """Return the array in an open file in numpy format.
 
-    ``where`` is the name of the array in messages. ``kinds`` are the permitted kinds of the dtype
-    of the array, such as 'fi'. ``limit`` is the largest permitted size of the array in bytes.
+    ``where`` is the name of the array in messages. ``kinds`` are the accepted values of
+    ``dtype.kind``, such as 'fi'. ``limit`` is the largest accepted size of the array in bytes.
     """
     head = BytesIO(file.read(MAX_HEADER_BYTES))
     version = npy.read_magic(head)
@@ -388,7 +389,7 @@ def _batch(
 
 
 def _nanoseconds(where: object, times: Any, scale: int) -> NDArray[np.int64]:
-    """Convert dates, durations, or numbers in units of ``scale`` ns to ns as int64, (n,)."""
+    """Return dates, durations, or numbers in units of ``scale`` ns as times in ns, (n,)."""
     values = np.asarray(times)
     if values.dtype.kind in 'Mm':
         return values.astype(f'{values.dtype.kind}8[ns]').astype(np.int64)

@@ -32,8 +32,8 @@ class Topic:
     """A topic of one bag file: number in the file, name, and type (``package/msg/Name``).
 
     ``encoding`` is the serialization of the messages: 'cdr', 'ros1', or a serialization that cannot
-    be read. Raises ValueError when a text contains unprintable characters, because then the file is
-    damaged.
+    be read. Raises ValueError when the name, the type or the encoding contains unprintable
+    characters, because then the file is damaged.
     """
 
     id: int
@@ -96,7 +96,7 @@ class Truncation:
 
 
 def among(numbers: NDArray[Any], ids: Collection[int]) -> NDArray[np.bool_]:
-    """Return for each of n numbers whether it is one of ``ids``, (n,); fast for a few ids."""
+    """Return whether each of n numbers is one of ``ids``, (n,); this is fast for a few ids."""
     mask = np.zeros(len(numbers), bool)
     for number in ids:
         mask |= numbers == number

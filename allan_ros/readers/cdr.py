@@ -39,7 +39,7 @@ BIG_ENDIAN, LITTLE_ENDIAN = 0, 1
 """Values of the first two bytes of the encapsulation for big-endian and little-endian CDR."""
 
 _ORDERS = {bytes([0, LITTLE_ENDIAN]): '<', bytes([0, BIG_ENDIAN]): '>'}
-"""The first two bytes of the encapsulation -> byte order."""
+"""First two bytes of the encapsulation -> byte order in the notation of numpy."""
 
 _FRAME_AT = 16
 """Offset of frame_id in bytes. Four fields of four bytes each come before frame_id: encapsulation
@@ -53,7 +53,7 @@ _DOUBLE = 8
 
 _IMU_BYTES = 400
 """Number of zeros that are appended to a Temperature message, so that it can be read with the
-layout of an Imu message: more than the length of an Imu message without a frame_id."""
+layout of an Imu message. An Imu message without a frame_id has fewer bytes."""
 
 _VECTORS = (
     ('orientation', 4),
@@ -63,7 +63,7 @@ _VECTORS = (
     ('accel', 3),
     ('accel_covariance', 9),
 )
-"""Name of each field after the header, and number of its elements."""
+"""Name of each field of an Imu message after the header, and number of its elements."""
 
 
 class MalformedMessage(Exception):
@@ -190,7 +190,7 @@ def _drop_absent(decoded: DecodedImus, sensor: str, absent_rows: NDArray[np.intp
 def _grouped_by_layout(
     payloads: Sequence[bytes | memoryview] | NDArray[np.void], encoding: Encoding
 ) -> Iterator[tuple[slice | NDArray[np.intp], NDArray[Any]]]:
-    """Yield groups of messages with the same layout: their positions, and one record for each."""
+    """Yield the positions and the records of the messages of each group with the same layout."""
     n = len(payloads)
     # messages of equal length have the same layout if these fields are equal, too
     fields = ('frame_bytes',) if encoding == 'ros1' else ('frame_bytes', 'representation')

@@ -94,7 +94,7 @@ _SPELLINGS = {
     **dict.fromkeys(('record', 'stamp', 'time'), TIME_SPELLINGS),
     'temperature': TEMPERATURE_SPELLINGS,
 }
-"""Kind of a column -> spellings of units of this kind."""
+"""Kind of a column -> spellings of the units that such a column can have."""
 
 RECOGNIZED_UNITS = ('s', 'ms', 'us', 'ns')
 """Units of time that are recognized from the stamps."""
@@ -105,8 +105,8 @@ class Meaning(NamedTuple):
 
     kind: str  # a kind of `_KINDS`; '' if unknown
     axis: str = ''  # 'x', 'y' or 'z' for a column of a sensor
-    unit: str = ''  # '' if the name states no unit
-    unknown: str = ''  # text in place of a unit, if it is not a known unit for this kind
+    unit: str = ''  # unit according to the name; '' if the name states none
+    unknown: str = ''  # text at the place of the unit if it is no known unit; otherwise ''
     is_si: bool = False  # whether columns with this name are always in SI
 
 
@@ -117,7 +117,7 @@ class ColumnLayout:
     axes: dict[int, tuple[int, float]]  # index of the axis in `AXES` -> column, factor to SI
     # (column, factor to ns) of each column of times; the stamp is the sum of these columns in ns
     stamp: tuple[tuple[int, int], ...]
-    record: tuple[tuple[int, int], ...]  # the same for the record time
+    record: tuple[tuple[int, int], ...]  # (column, factor to ns) of the record time, if any
     temperature: tuple[int, str] | None  # column of the temperature, unit ('' if not stated)
     units: dict[str, str]  # sensor -> unit of its columns
     assumed: dict[str, str]  # sensor -> name of a column for which SI is assumed
@@ -209,7 +209,7 @@ SHORTEST_NS, LONGEST_NS = 1e4, 1e12
 
 FASTEST_MS = 0.3
 """Smallest increment of times for which the unit could be ms instead of s. An increment of 0.3 ms
-is a sample rate of about 3 kHz, and a smaller increment would be an implausible rate."""
+is a sample rate of about 3 kHz; a smaller increment would mean an implausible rate."""
 
 ENOUGH = 100
 """An implausible unit of time is reported only for tables with at least this number of rows.

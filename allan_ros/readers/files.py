@@ -284,7 +284,7 @@ def parse_yaml(text: str) -> Any:
         return loader.get_single_data()
     except RecursionError:
         raise yaml.YAMLError('it is nested too deeply') from None
-    except (ValueError, LookupError, AttributeError) as error:  # such as a date that does not exist
+    except (ValueError, LookupError, AttributeError) as error:  # for example, an invalid date
         raise yaml.YAMLError(str(error)) from error
     finally:
         loader.dispose()
@@ -399,7 +399,7 @@ def _simplified(name: str) -> str:
 class PathLock:
     """A lock that lets only one process write the file at a path; the file need not exist.
 
-    A hidden file next to the file is locked, because the file itself is replaced by each writing.
+    A hidden file next to the file is locked, because each writing replaces the file itself.
     """
 
     def __init__(self, path: Path) -> None:

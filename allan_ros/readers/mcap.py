@@ -35,7 +35,7 @@ FOOTER, SCHEMA_OPCODE, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX = 0x02, 0x03, 0x04
 CHUNK_INDEX, STATISTICS_OPCODE, DATA_END, LAST_OPCODE = 0x08, 0x0B, 0x0F, 0x7F
 
 FIXED_BYTES = {DATA_END: 4, FOOTER: 20}
-"""Opcode -> the only valid length of the content of such a record in bytes."""
+"""Opcode -> length in bytes that the content of a record with this opcode must have."""
 
 RECORD_HEAD = struct.Struct('<BQ')
 """Opcode and length at the start of each record."""
@@ -67,8 +67,8 @@ FOOTER_BYTES = RECORD_HEAD.size + FIXED_BYTES[FOOTER] + len(MAGIC)
 """Number of bytes of the footer and the magic after it, at the end of a file."""
 
 LOOSE_BYTES = 1 << 20
-"""Length in bytes from which a sequence of messages outside chunks is not extended further, because
-a sequence is read as a whole. The next message starts another sequence."""
+"""Adjacent messages outside chunks are read together, as a sequence of at least this length in
+bytes if there are enough of them. The next message starts another sequence."""
 
 MAX_SORT_BYTES = 512 * 2**20
 """Largest size in bytes of the messages that are kept in memory to sort overlapping chunks."""
@@ -84,8 +84,8 @@ class Chunk:
     """A chunk of a file, or a sequence of messages outside chunks (``loose``).
 
     ``start_ns`` is the smallest record time of the messages. ``offset`` and ``length`` state where
-    the content is in the file. ``next`` is the offset after the content. If the summary lists the
-    chunk, it is the offset after its message index.
+    the content is in the file. ``next`` is the offset after the content or, if the summary lists
+    the chunk, after the message index of the chunk.
     """
 
     start_ns: int
@@ -179,7 +179,7 @@ class McapStorage:
         self.topics = list(contents.topics.values())
 
     def counts(self) -> dict[int, int]:
-        """Return topic id -> number of messages, as the summary states it or as counted."""
+        """Return topic id -> number of messages, as stated in the summary or as counted."""
         return dict(self._contents.counted)
 
     def stated(self, ids: set[int], read: int) -> int:

@@ -70,9 +70,9 @@ class Provenance:
 
     @property
     def start(self) -> datetime | None:
-        """Start of the first segment in UTC, in whole seconds; None if there is no such time.
+        """Start of the first segment in UTC, in whole seconds.
 
-        This is the case without segments, or if the stamps do not count from 1970.
+        It is None without segments, or if the stamps do not count from 1970.
         """
         start_s = min((s.start_ns for s in self.segments), default=0) // NANOSECONDS
         return datetime.fromtimestamp(start_s, timezone.utc) if start_s >= EPOCH_S[0] else None
@@ -456,8 +456,8 @@ def _overlap(first: RecordingSums, second: RecordingSums) -> bool:
 
 
 MIN_OVERLAP = 0.5
-"""Two recordings count as made at the same time if they overlap for more than this share of the
-duration of the longer recording."""
+"""Two recordings are regarded as made at the same time if they overlap for more than this share of
+the duration of the longer recording."""
 
 
 def _start_ns(recorded: RecordingSums) -> tuple[int, int]:

@@ -44,8 +44,8 @@ MAX_MESSAGE_BYTES = 2**16
 An Imu message has less than 2 kB."""
 
 MAX_TOPICS = 100
-"""Largest number of Imu topics with which all topics of a bag are analyzed. Each topic is read
-separately, so the user must select one topic if there are more."""
+"""Largest number of Imu topics of a bag that are all analyzed. If there are more, the user must
+select one topic, because each topic is read separately."""
 
 
 def imu_topics(path: Path) -> list[str]:
@@ -232,7 +232,7 @@ class _Reader:
             yield block if len(rows) == len(block) else block.chosen(rows)
 
     def _decoded(self, file: Path, blocks: Iterable[Messages]) -> Iterator[ImuBatch]:
-        earlier_messages = 0  # number in earlier blocks of this file
+        earlier_messages = 0  # number of messages in earlier blocks
         for block in blocks:
             try:
                 imus = decode_imus(_decompressed(block.payloads), _encoding(self.topic))

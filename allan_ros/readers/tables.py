@@ -317,8 +317,8 @@ class _Lines:
     """Iterates over the lines of a table after its header, without comments and empty lines.
 
     ``number`` is the number of the last line that was read; the first line has the number 1.
-    ``frame_id`` is taken from the last comment that contains a frame_id. ``complete`` is whether
-    the last row that was read has a line end.
+    ``frame_id`` is taken from the last comment that contains a frame_id. ``complete`` states
+    whether the last row that was read has a line end.
     """
 
     def __init__(self, table: _Table, file: TextIO) -> None:
@@ -378,7 +378,7 @@ class _Rows:
         return np.array(self._converted(column, lambda cell: float(cell or 'nan')))
 
     def _nanoseconds(self, column: int, scale: int) -> NDArray[np.int64]:
-        """Convert a column of times to ns, rounded to whole ns without further errors.
+        """Convert a column of times to ns; the only error is the rounding to whole ns.
 
         ``scale`` is the size of the unit of the times in ns, or `DATES`.
         """

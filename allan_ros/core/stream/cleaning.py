@@ -35,9 +35,9 @@ BACKWARD_RUN = 16
 set back. Fewer such samples are excluded."""
 
 JUMP_DISTANCE = 4096
-"""If the clock is set back again within this number of samples, the number of consecutive earlier
-stamps that show that it was set back is doubled for the next time; at first, this number is
-`BACKWARD_RUN`. Otherwise, stamps in random order would split the data again and again."""
+"""If the clock seems to be set back twice within this number of samples, twice as many earlier
+stamps in a row are required before the next time. The first time, `BACKWARD_RUN` are required.
+Otherwise, stamps in random order would split the data again and again."""
 
 REORDER = 32
 """Largest number of places by which sorting moves a sample that arrived out of order."""
@@ -259,10 +259,10 @@ class CoveredTime:
 class SampleFilter:
     """Selects the axes of a sensor stream, and excludes samples that cannot be used.
 
-    Samples that ``plan.drop`` names, samples that are not finite, duplicates, and samples with
-    backward stamps are excluded. A duplicate has the stamp and the values of the previous sample.
-    The stamps of the remaining samples decrease only where the clock was set back. ``counts`` is
-    updated in place.
+    Samples of the kind ``plan.drop`` ('repeated' or 'zero'), samples that are not finite,
+    duplicates, and samples with backward stamps are excluded. A duplicate has the stamp and the
+    values of the previous sample. The stamps of the remaining samples decrease only where the clock
+    was set back. ``counts`` is updated in place.
     """
 
     def __init__(self, plan: SensorPlan, counts: Counts) -> None:

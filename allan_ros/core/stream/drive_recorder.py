@@ -22,9 +22,9 @@ has an error of N / sqrt(1 s). In a drive of 30 s, this error causes an angle er
 N / sqrt(1 s), five times the angle error due to the white noise during the drive."""
 
 LEAST_DRIVES = 5
-"""Smallest number of drives for which factors are computed. With five drives, Student's t
-distribution has three degrees of freedom. The intervals are then 1.6 times as wide as with many
-drives (quantiles 3.2 and 1.96)."""
+"""Smallest number of drives for which the factors in motion are computed. With five drives,
+Student's t distribution has three degrees of freedom. The intervals are then 1.6 times as wide as
+with many drives (quantiles 3.2 and 1.96)."""
 
 LEAST_DRIVE_S, LONGEST_DRIVE_S = 2.0, 180.0
 """Shortest and longest duration in s of a drive that is used. In a longer drive, the errors are no

@@ -39,8 +39,10 @@ REST_S = 30.0
 """Longest time in s next to a drive over which the samples of a rest are averaged."""
 
 ROWS = 9
+"""Number of residuals of a drive."""
+
 ROTATION, VELOCITY, RATE = slice(0, 3), slice(3, 6), slice(6, 9)
-"""Number of residuals of a drive, and the indices of the three residual vectors."""
+"""Indices of the three vectors among the residuals of a drive."""
 
 SLOW_BLOCKS = 96
 """Number of blocks into which a drive and its two rests are divided to compute the effect of slow

@@ -122,7 +122,7 @@ class Counts:
 
 
 class Event(NamedTuple):
-    """A time whose samples were excluded or replaced: a motion, a shock, or a change of the noise.
+    """A period whose samples were excluded or replaced: motion, shock, or change of the noise.
 
     ``kind`` is 'shock', 'motion', 'stuck' (an axis repeats one value), 'noise_increased' (the noise
     increased at rest) or 'noise_decreased' (the noise of an axis became much smaller, or the axis

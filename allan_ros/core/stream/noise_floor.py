@@ -387,7 +387,7 @@ class NoiseFloor:
     def decreased(self, block: Windows) -> Flags:
         """Return in which windows an axis has much less noise than this floor, (axes, k).
 
-        Below the resolution, the noise of an axis is not known.
+        An axis whose noise floor is below the resolution is never flagged.
         """
         is_resolved = self.variance > self.lsb**2
         is_smaller = DECREASE_RATIO**2 * block.variance < self.variance[:, None]

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Levels of the noise at rest: each has its own noise floor, sums and counts.
 
-When the noise changes, a new level begins. At first, the new level is only tried: the sums of the
+When the noise changes, a new level begins. At first, the new level is on trial: the sums of the
 previous level remain the result, and continue if the previous noise returns.
 """
 
@@ -149,8 +149,8 @@ class NoiseLevels:
     """The present noise level of a stream, and the other level to which the noise may return.
 
     ``start`` returns a new level without samples. ``is_tried`` tells whether the present level is
-    only tried, so that the sums of the other level are the result. ``change`` tells how the noise
-    of the present level differs from the noise of the other level.
+    on trial, so that the sums of the other level are the result. ``change`` tells how the noise of
+    the present level differs from the noise of the other level.
     """
 
     def __init__(self, start: Callable[[], NoiseLevel]) -> None:
@@ -159,7 +159,7 @@ class NoiseLevels:
         self.other: NoiseLevel | None = None
         self.is_tried = False
         self.change: Change = 'noise_increased'
-        self._began_ns = 0  # stamp at which the noise changed to the level that is only tried
+        self._began_ns = 0  # stamp at which the noise changed to the level on trial
 
         # how the samples of the other level are counted if its sums are not the result
         self._other_is: Excluded = 'moving'
@@ -224,7 +224,7 @@ class NoiseLevels:
         self._begin(floor)
 
     def try_another(self, floor: NoiseFloor, change: Change, began_ns: int) -> None:
-        """Begin another level, which is only tried, and keep the level that is the result."""
+        """Begin another level, which is on trial, and keep the level that is the result."""
         if self.is_tried:
             self._dropped.add(self.present.counted_as(self.change))
         else:
@@ -238,8 +238,8 @@ class NoiseLevels:
     def resume(self) -> int | None:
         """Continue the other level, because its noise has returned.
 
-        Returns the stamp in ns at which the noise changed, if the present level was only tried;
-        else None.
+        Returns the stamp in ns at which the noise changed, if the present level was on trial; else
+        None.
         """
         assert self.other is not None
         self.present.close()

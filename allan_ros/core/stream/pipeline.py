@@ -32,11 +32,14 @@ CHECKED = LEARN // 8
 ended."""
 
 IDLE = ('sensor_all_zero', 'zero_filled', 'held')
+"""Ids of findings that samples of a sensor are zero or repeated. When this fault, or a fault of
+`ABSENT` or `UNTIMED`, ends after the first samples, new sensor streams begin."""
+
 ABSENT = ('sensor_absent', 'axis_absent')
+"""Ids of findings that values of a sensor are not numbers."""
+
 UNTIMED = ('stamps_missing', 'stamps_unusable', 'stamps_from_rate')
-"""Ids of findings about faults of the first samples that may end later: samples of a sensor are
-zero or repeated, values of a sensor are not numbers, or the stamps are not usable. When such a
-fault ends, new sensor streams begin."""
+"""Ids of findings that the stamps are not usable."""
 
 STILL_IDLE = 0.05
 """A fault of zero or repeated samples has ended if their share is below this value."""
@@ -62,9 +65,9 @@ class ImuStream:
     look-ahead. ``hardware_id`` identifies the IMU if the user states it. ``sensor`` is 'gyro' or
     'accel' if the other sensor is in another stream; this stream then ignores the values of the
     other sensor. ``with_samples`` also keeps all samples at rest in memory, and ``with_drives``
-    the errors of the latest drives between two rests. With ``covered``, each time is counted once:
-    samples are excluded if earlier samples cover their time, or if their time is in one of the
-    stretches ``covered``, (first, last) stamp in ns.
+    keeps the errors of the latest drives between two rests. With ``covered``, each time is counted
+    once: samples are excluded if earlier samples cover their time, or if their time is in one of
+    the stretches ``covered``, (first, last) stamp in ns.
     """
 
     def __init__(
@@ -181,7 +184,7 @@ class ImuStream:
         return at_end if is_first and at_end.state == 'moving' else present
 
     def _add_frame(self, frame_id: str) -> FrameStream:
-        """Start the stream of a new frame_id; of two earlier streams, remove the smaller one."""
+        """Start the stream of a new frame_id; of two existing streams, remove the smaller one."""
         if len(self._frames) > 1:
             smallest = min(self._frames.values(), key=lambda frame: frame.counts.used)
             del self._frames[smallest.identity.frame_id]

@@ -79,7 +79,7 @@ def noise_now(health: StreamHealth, sums: Iterable[AllanSums]) -> list[Finding]:
 
 
 def noise_ratios(findings: Iterable[Finding]) -> dict[str, float]:
-    """Return axis -> ratio of the present noise to the Allan sums, from findings of `noise_now`."""
+    """Return axis -> ratio of the present noise to the earlier noise, as `noise_now` found it."""
     return {f.axes[0]: float(f.values['ratio']) for f in findings if f.id == 'noise_now'}
 
 

@@ -43,7 +43,7 @@ direct neighbors, and at most one other examined sample, deviates more. In a sho
 deviate."""
 
 LONGEST_SHOCK_S = 10.0
-"""Longest shock in s."""
+"""Longest duration of a shock in s."""
 
 LEVEL_WINDOWS, LEAST_LEVEL = 4, 2
 """Largest and smallest number of windows on each side of a motion whose means are compared."""
@@ -303,7 +303,7 @@ class RestFilter:
     def add(
         self, block: ImuBatch, windows: Windows, size: int, only_at_rest: bool = False
     ) -> tuple[Flags, WindowClass] | None:
-        """Pass on or exclude k windows of ``size`` samples; return which are passed on as at rest.
+        """Pass on or exclude k windows of ``size`` samples, and return which of them are at rest.
 
         Returns flags, (k,), that are True for the windows at rest, and the classification of the
         windows. ``block`` contains the samples of the windows, and ``windows`` their statistics.

@@ -388,7 +388,10 @@ def _excluded(
 
 
 def _marked(excluded: list[Excluded], event: Excluded) -> list[Excluded]:
-    """Return the excluded periods with the kind of an event; a shock is added as a new period."""
+    """Return the excluded periods, with the kind of an event in periods that the event overlaps.
+
+    A shock is added as a further period.
+    """
     if event.why == 'shock':
         return [*excluded, event]
     start, end = event.start, event.end

@@ -93,8 +93,8 @@ PHASE_GAP = 16.0
 """Longest pause, in periods, after which the phase of the samples is assumed to continue."""
 
 PHASE_STEP = 0.25
-"""Step between the periods that are tried, as the phase change in cycles from the first to the last
-stamp."""
+"""Step between two periods that `rayleigh_period` tries, stated as the change of the phase, in
+cycles, from the first to the last stamp."""
 
 
 @dataclass(frozen=True)
@@ -198,7 +198,7 @@ def _period_of_runs(step: Floats) -> float:
 
 
 def _common_step(step: Floats) -> float:
-    """Return the shortest step if samples are missing regularly, else 0.
+    """Return the mean of the shortest steps if samples are missing regularly, else 0.
 
     Samples are missing regularly if almost all steps in ``step``, (n,), are multiples of the
     shortest step, and many steps are longer.
@@ -276,7 +276,7 @@ rate."""
 
 BRIDGED_SHARE = 0.5
 """The data are split instead of interpolated if the interpolated samples of a block would exceed
-this fraction of its received samples."""
+this fraction of `CLOCK_BLOCK`."""
 
 
 class SampleClock:
@@ -347,7 +347,7 @@ class SampleClock:
         else:
             first_rows = self._samples.rows[:, :number]
             self.is_interleaved = not self._polled and are_interleaved(first_rows)
-            if self.is_interleaved:  # assumed jitter reveals the end of the second IMU sooner
+            if self.is_interleaved:  # with jitter, the end of the second IMU is found sooner
                 period_ns = self.clock.period_ns
                 self.clock = replace(self.clock, step_ns=period_ns, bursty=False, jitter=True)
             self.learned_ns, self._reach = self.clock.period_ns, self.clock.look_ahead

@@ -31,8 +31,10 @@ LATELY_S = 20.0
 """Time in s after an event for which the event is reported."""
 
 LATELY = f' in the last {LATELY_S:g} s'
+"""Text in findings for the time of past events."""
+
 UNTIL_NOW = f'{LATELY} until now'
-"""Texts for the times of events in findings: of past events, and of events that still occur."""
+"""Text in findings for the time of events that still occur."""
 
 REPORTED_LOST_SHARE = 1e-3
 """Smallest share of messages lost in transport that is reported."""
