@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import gc
 import importlib
 import os
 import shlex
@@ -22,6 +23,10 @@ from .. import __version__, keep_to_one_thread
 from ..core.errors import AllanError
 from .console import COMMON_OPTIONS, EXIT_ERROR, EXIT_FAULT, fault_text
 from .options import Command, declare
+
+GARBAGE_THRESHOLD = 100_000
+"""Number of new objects that may refer to other objects after which Python collects garbage. With
+the default of Python, garbage is collected about 150 times while the modules are imported."""
 
 HELP_COLUMN = 26
 """Column at which the help texts of options begin."""
@@ -267,7 +272,10 @@ def console() -> None:
         getattr(sys, name).reconfigure(errors='backslashreplace')
     # handle SIGTERM like Ctrl-C
     signal.signal(signal.SIGTERM, signal.default_int_handler)
-    sys.exit(main())
+    gc.set_threshold(GARBAGE_THRESHOLD)
+    code = main()
+    gc.freeze()  # the garbage collection at exit would examine all objects of numpy and scipy
+    sys.exit(code)
 
 
 if __name__ == '__main__':
