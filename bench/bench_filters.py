@@ -33,7 +33,6 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import allan_ros as ar
 from allan_ros.core.filters.bias import BiasFilter, BiasModel
-from allan_ros.core.filters.growth import predicted_growth
 from allan_ros.core.filters.noise_parameters import reduce_model
 from allan_ros.core.imu import AXES
 from allan_ros.core.noise import GaussMarkov, Model
@@ -187,7 +186,7 @@ def _growth_band(axis: ar.AxisResult, seconds: float) -> list[tuple[float, float
         records += REALITY['gauss_markov'](n, 1.0, sigma, time, rng, BAND_RECORDS)
     bands = []
     for horizon in GROWTH_S:
-        predicted = float(predicted_growth(model, horizon, WINDOW_S))
+        predicted = float(model.growth(horizon, WINDOW_S))
         ratios = [
             predicted / REALITY['actual_growth'](records[:, i], 1.0, horizon, WINDOW_S)
             for i in range(BAND_RECORDS)
@@ -349,7 +348,7 @@ def figure() -> None:
         one = models[name]
         bias = [(sigma, GaussMarkov(tau)) for sigma, tau in one.get('gms', ())]
         model = Model.of(*bias, N=one['N'], K=one['K'])
-        predicted = predicted_growth(model, times, window) * scale
+        predicted = model.growth(times, window) * scale
         axes.loglog(times, predicted, style, label=name)
     axes.axvspan(1.0, 30.0, color='C0', alpha=0.08, lw=0.0)
     axes.set(xlabel='time without correction t [s]', ylabel='angle error, 1 sigma [deg]')

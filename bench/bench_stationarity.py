@@ -225,7 +225,7 @@ def show_sixths(records: int, seed: int) -> Iterator[tuple[str, ...]]:
 def growth(y: Floats, rate: float, horizon: float, window: float) -> Floats:
     """Return the root mean square error of the integral of samples, (axes,).
 
-    `predicted_growth` predicts this error: after the bias was averaged over ``window`` seconds, the
+    `Model.growth` predicts this error: after the bias was averaged over ``window`` seconds, the
     samples minus this bias are integrated over ``horizon`` seconds. ``rate`` is in Hz.
     """
     theta = np.cumsum(np.pad(y - y.mean(axis=0), ((1, 0), (0, 0))), axis=0) / rate

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, NamedTuple
 
 from ..core.errors import AllanError
-from ..core.filters.growth import growth_table, predicted_growth
+from ..core.filters.growth import growth_table
 from ..core.imu import AXES, DEGREE, HOUR, SENSORS, UNITS, sensor_of
 from ..core.noise import GaussMarkov, Model
 from ..core.number_text import significant
@@ -110,7 +110,7 @@ def against(
     for axis, model in file_models(target, text, noise.rate).items():
         if axis not in results.axes:
             continue
-        expected_drifts = predicted_growth(model, AFTER_S, window)
+        expected_drifts = model.growth(AFTER_S, window)
         for expected, growth in zip(
             expected_drifts, growth_table(results.axes[axis].fit, horizons=AFTER_S, window=window)
         ):

@@ -27,7 +27,6 @@ from support.exports import (
 
 import allan_ros
 from allan_ros.core.estimate import Estimate
-from allan_ros.core.filters.growth import predicted_growth
 from allan_ros.core.noise import Model
 from allan_ros.export import TARGETS, ExportOptions, make_export, target_of
 from allan_ros.results.results import Results
@@ -101,8 +100,8 @@ def test_k_of_the_reduction_bounds_the_growth(known_results: Results) -> None:
         noise = Model.of(N=read['gyroscope_noise_density'], K=read['gyroscope_random_walk'])
         whole = known_results.axes['gyro_z'].fit.model
         times = np.geomspace(1.0, horizon or 30.0, 40)
-        bound = predicted_growth(noise, times, horizon or 30.0)
-        assert np.all(bound >= 0.999 * predicted_growth(whole, times, horizon or 30.0))
+        bound = noise.growth(times, horizon or 30.0)
+        assert np.all(bound >= 0.999 * whole.growth(times, horizon or 30.0))
     assert not made.findings
 
 

@@ -15,7 +15,6 @@ import yaml
 import allan_ros as ar
 from allan_ros.cli.main import main
 from allan_ros.core.errors import AllanError
-from allan_ros.core.filters.growth import predicted_growth
 from allan_ros.core.noise import Model
 from allan_ros.export import TARGETS
 from allan_ros.results.datasheets import (
@@ -72,7 +71,7 @@ def test_a_file_from_a_datasheet_has_its_n_and_covers_its_b(imu: Datasheet) -> N
         (Model.of(N=1e-3, B=1e-3 / math.sqrt(0.441271 * CROSSING_S)), 'accelerometer'),
     ):
         file = Model.of(N=read[f'{key}_noise_density'], K=read[f'{key}_random_walk'])
-        bound, growth = (predicted_growth(t, times, 30.0) for t in (file, whole))
+        bound, growth = (t.growth(times, 30.0) for t in (file, whole))
         assert np.all(bound >= 0.999 * growth) and bound.max() < 2.0 * growth.max()
     low, high = known_factors(map(load_sensor, sensor_names()))
     assert low < 1.0 < high

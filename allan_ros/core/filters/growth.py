@@ -1,38 +1,22 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Predicted error of the integral of a sensor: angle of a gyro, velocity of an accelerometer.
+"""Predicted error of the integral of a sensor at given times, with intervals: `growth_table`.
 
-Definition
-----------
-The bias is averaged over the W seconds before time 0 and subtracted. At the prediction horizon h,
-the integral theta of the samples (angle or velocity) has the error
-
-    e(h) = theta(h) - theta(0) - (h/W) (theta(0) - theta(-W)).
-
-A constant bias does not change e. The variance of e therefore follows from gamma of each process
-(`allan_ros.core.noise.derived.growth_variance`).
+`Model.growth` defines this error: an angle for a gyro, and a velocity for an accelerometer.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from ..estimate import Z_95, Estimate
 from ..fit.result import AxisFit
 from ..imu import HOUR
-from ..noise import Model, Process
-from ..noise.derived import growth_variance
-from ..noise.model import CONTINUOUS
 
 Floats = NDArray[np.float64]
-
-LARGEST_VARIANCE = 1e300
-"""Largest variance of an error. Larger variances are set to this value, because documents contain
-finite numbers only."""
 
 LARGEST_LOG = 100.0
 """Largest logarithm of the ratio between an estimate and an end of its interval."""
@@ -46,54 +30,6 @@ and T = h + W, this number is 3.0 for white noise and 1.9 for a random walk."""
 GROWTH_S = (1.0, 10.0, 30.0, 100.0, 300.0)
 GROWTH_WINDOW_S = 100.0
 """Prediction horizons of `growth_table` in s, and averaging time of the bias in s."""
-
-
-def predicted_growth(model: Model, horizon: ArrayLike, window: ArrayLike) -> Floats:
-    """Return the predicted standard deviation of the error of the integrated samples.
-
-    Parameters
-    ----------
-    model : Model
-        Noise of the samples.
-    horizon : array
-        Prediction horizons h in s, above 0.
-    window : array
-        Times W in s, above 0, over which the bias was averaged before time 0; broadcasts with
-        ``horizon``.
-
-    Returns
-    -------
-    float64 array
-        Standard deviation in the unit of the samples times s, with the broadcast shape of
-        ``horizon`` and ``window``.
-
-    Examples
-    --------
-    White noise with N = 1. The bias is averaged over 8 s, and the samples are integrated over the
-    next 8 s:
-
-    >>> float(predicted_growth(Model.of(N=1.0), 8.0, 8.0))
-    4.0
-    """
-    variances = growth_parts(model, horizon, window).values()
-    return np.asarray(np.sqrt(np.maximum(sum(variances, np.zeros(np.shape(horizon))), 0.0)))
-
-
-def growth_parts(model: Model, horizon: ArrayLike, window: ArrayLike) -> Mapping[Process, Floats]:
-    """Return a dict that maps each process to the variance of the error due to this process.
-
-    The parameters are the same as in `predicted_growth`. The variances have the squared unit of the
-    samples times s^2, and the broadcast shape of ``horizon`` and ``window``.
-    """
-    h, w = np.broadcast_arrays(np.asarray(horizon, float), np.asarray(window, float))
-    step = CONTINUOUS * float(min(h.min(initial=1.0), w.min(initial=1.0)))
-    variances: dict[Process, Floats] = {}
-    for process, value, *_ in model.parts:
-        unit = step**2 * growth_variance(process.in_unit(step), h / step, w / step)
-        with np.errstate(over='ignore'):
-            variance = np.minimum(process.variance_of(value, step) * unit, LARGEST_VARIANCE)
-        variances[process] = variances.get(process, np.zeros(np.shape(h))) + variance
-    return variances
 
 
 @dataclass(frozen=True)
@@ -152,7 +88,7 @@ def growth_table(
     """
     h = np.array(horizons)
     model = fit.model.drift
-    std = predicted_growth(model, h, window)
+    std = model.growth(h, window)
     end_models = fit.models_at_ends(predictive=False)
     if end_models is None:
         return tuple(
@@ -160,7 +96,7 @@ def growth_table(
         )
     low, high = (model_at_end.drift for model_at_end in end_models)
     high = high.changed(**{t: high.value(t) or fit.limit(t) for t in 'NBKR'})
-    parts = [growth_parts(model_at_end, h, window) for model_at_end in (model, low, high)]
+    parts = [model_at_end.growth_variances(h, window) for model_at_end in (model, low, high)]
     zero = np.zeros(len(h))
     total, distance_below, distance_above, scatter = zero, zero, zero, zero
     for process in {**parts[0], **parts[2]}:

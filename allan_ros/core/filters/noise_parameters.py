@@ -34,7 +34,6 @@ from ..estimate import Estimate
 from ..fit.result import AxisFit
 from ..noise import Model, Process
 from ..noise.model import BY_LETTER
-from .growth import predicted_growth
 from .state_space import has_states, state_space, white_density
 
 Floats = NDArray[np.float64]
@@ -241,7 +240,7 @@ def horizons(longest: float) -> Floats:
 
 def _growth(model: Model, horizon: float) -> Floats:
     """Return the predicted standard deviation of the error at 30 horizons up to ``horizon``."""
-    return predicted_growth(model, horizons(horizon), horizon)
+    return model.growth(horizons(horizon), horizon)
 
 
 @lru_cache(maxsize=512)

@@ -13,13 +13,17 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import AllanError
-from .derived import avar
+from .derived import avar, growth_variance
 from .process import Floats, Process
 from .registry import LETTERS, PROCESSES
 
 CONTINUOUS = 1e-6
 """Sample period with which continuous time is approximated, as a fraction of the shortest given
 time, or of 1 s if all given times are longer."""
+
+LARGEST_VARIANCE = 1e300
+"""Largest variance of an error. Larger variances are set to this value, because documents contain
+finite numbers only."""
 
 BY_LETTER: Mapping[str, Process] = {
     one.letter: one() for one in PROCESSES.values() if one.letter and not one.parameters
@@ -246,4 +250,59 @@ class Model:
             )
             title = part.process.title
             variances[title] = variances.get(title, 0.0) + variance * avar(in_samples, tau / step)
+        return variances
+
+    def growth(self, horizon: ArrayLike, window: ArrayLike) -> Floats:
+        """Return the predicted standard deviation of the error of the integrated samples.
+
+        Parameters
+        ----------
+        horizon : array
+            Prediction horizons h in s, above 0.
+        window : array
+            Times W in s, above 0, over which the bias was averaged before time 0; broadcasts with
+            ``horizon``.
+
+        Returns
+        -------
+        float64 array
+            Standard deviation in the unit of the samples times s, with the broadcast shape of
+            ``horizon`` and ``window``.
+
+        Notes
+        -----
+        The integral theta of the samples is the angle of a gyro, or the velocity of an
+        accelerometer. The bias is averaged over the W seconds before time 0 and subtracted. At the
+        prediction horizon h, theta has the error
+
+            e(h) = theta(h) - theta(0) - (h/W) (theta(0) - theta(-W)).
+
+        A constant bias does not change e. The variance of e therefore follows from gamma of each
+        process (`allan_ros.core.noise.derived.growth_variance`).
+
+        Examples
+        --------
+        White noise with N = 1. The bias is averaged over 8 s, and the samples are integrated over
+        the next 8 s:
+
+        >>> float(Model.of(N=1.0).growth(8.0, 8.0))
+        4.0
+        """
+        variances = self.growth_variances(horizon, window).values()
+        return np.asarray(np.sqrt(np.maximum(sum(variances, np.zeros(np.shape(horizon))), 0.0)))
+
+    def growth_variances(self, horizon: ArrayLike, window: ArrayLike) -> dict[Process, Floats]:
+        """Return a dict that maps each process to the variance of the error due to this process.
+
+        The parameters are the same as in `growth`. The variances have the squared unit of the
+        samples times s^2, and the broadcast shape of ``horizon`` and ``window``.
+        """
+        h, w = np.broadcast_arrays(np.asarray(horizon, float), np.asarray(window, float))
+        step = CONTINUOUS * float(min(h.min(initial=1.0), w.min(initial=1.0)))
+        variances: dict[Process, Floats] = {}
+        for process, value, *_ in self.parts:
+            unit = step**2 * growth_variance(process.in_unit(step), h / step, w / step)
+            with np.errstate(over='ignore'):
+                variance = np.minimum(process.variance_of(value, step) * unit, LARGEST_VARIANCE)
+            variances[process] = variances.get(process, np.zeros(np.shape(h))) + variance
         return variances

@@ -15,7 +15,7 @@ import pytest
 
 from allan_ros.core.errors import AllanError
 from allan_ros.core.estimate import Estimate
-from allan_ros.core.filters.growth import growth_table, predicted_growth
+from allan_ros.core.filters.growth import growth_table
 from allan_ros.core.filters.noise_parameters import (
     FilterLevel,
     axis_level,
@@ -152,9 +152,7 @@ def test_a_term_that_is_not_resolved_is_included_with_its_estimate() -> None:
     likely = Estimate(1e-5, None, 3e-5, 'not_observable')
     fit = fit_with(N=resolved(1e-3), B=resolved(1e-6), K=likely)
     last = growth_table(fit)[-1]
-    assert last.std.value == pytest.approx(
-        float(predicted_growth(fit.model, last.horizon, last.window))
-    )
+    assert last.std.value == pytest.approx(float(fit.model.growth(last.horizon, last.window)))
     assert pytest.approx(1e-5, rel=1e-2) == reduce_axis('gyro_x', fit, 'processes').model.value('K')
 
 
@@ -216,7 +214,7 @@ def test_the_growth_is_bounded_from_above(model, states, horizon):
     assert 0.97 <= reduction.ratio[0] <= reduction.ratio[1] < math.inf
     # between the horizons at which it is enforced, too
     between = np.geomspace(min(1.0, horizon / 10.0), horizon, 101)
-    growth = [predicted_growth(m, between, horizon) for m in (reduction.model, model)]
+    growth = [m.growth(between, horizon) for m in (reduction.model, model)]
     slack = 0.97 if model is not FLICKER or horizon > 1.0 else 0.5  # Q is no drift
     assert np.all(growth[0] >= slack * growth[1])
 

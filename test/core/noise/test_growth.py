@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Predicted error growth: closed forms against state spaces, simulation and each other."""
+"""Predicted error growth of a model: closed forms against state spaces and simulation."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ import math
 import numpy as np
 import pytest
 
-from allan_ros.core.filters.growth import predicted_growth
 from allan_ros.core.filters.state_space import StateSpace
 from allan_ros.core.noise import GaussMarkov, Model
 from allan_ros.core.noise.processes.sinusoid import Sinusoid
@@ -31,9 +30,7 @@ def test_growth_over_the_window_is_the_allan_deviation():
     tau = np.array([0.3, 5.0, 200.0])
     for model in PROCESSES.values():
         expected = tau * np.sqrt(2.0 * model.avar(tau))
-        np.testing.assert_allclose(
-            predicted_growth(model, tau, tau), expected, rtol=1e-4, atol=1e-9
-        )
+        np.testing.assert_allclose(model.growth(tau, tau), expected, rtol=1e-4, atol=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -53,20 +50,20 @@ def test_growth_is_that_of_the_state_space(space, horizon, window):
     error[0] -= 1.0 + horizon / window
     expected = math.sqrt(error @ covariance @ error + space.noise(horizon)[0, 0])
     model = Model.of(*space.processes, N=space.white, K=space.walk)
-    assert predicted_growth(model, horizon, window) == pytest.approx(expected, rel=1e-6)
+    assert model.growth(horizon, window) == pytest.approx(expected, rel=1e-6)
 
 
 def test_growth_of_a_ramp_and_of_a_sinusoid_of_any_phase():
     horizon, window = 30.0, 12.0
     ramp = horizon * (horizon + window) / 2.0
-    assert predicted_growth(PROCESSES['R'], horizon, window) == pytest.approx(ramp)
+    assert PROCESSES['R'].growth(horizon, window) == pytest.approx(ramp)
     amplitude, frequency = 1.0, 0.02
     turn, phase = 2.0 * np.pi * frequency, 2.0 * np.pi * np.arange(16) / 16
     times = -window, 0.0, horizon
     before, start, end = (amplitude / turn * np.sin(turn * t + phase) for t in times)
     error = end - start - horizon / window * (start - before)
     std = float(np.sqrt(np.mean(error**2)))
-    assert predicted_growth(PROCESSES['sinusoid'], horizon, window) == pytest.approx(std)
+    assert PROCESSES['sinusoid'].growth(horizon, window) == pytest.approx(std)
 
 
 def test_growth_of_simulated_flicker():
@@ -82,7 +79,7 @@ def test_growth_of_simulated_flicker():
         before = theta[start] - theta[start - window]
         errors.append(theta[start + horizon] - theta[start] - horizon / window * before)
     actual = float(np.sqrt(np.mean(np.square(errors))))
-    assert predicted_growth(terms, horizon, window) == pytest.approx(actual, rel=0.12)
+    assert terms.growth(horizon, window) == pytest.approx(actual, rel=0.12)
 
 
 def test_rounding_is_negligible_at_long_correlation_times():
@@ -90,5 +87,5 @@ def test_rounding_is_negligible_at_long_correlation_times():
     for tau in (1e4, 1e7):
         process = Model.of((1.0, GaussMarkov(tau)))
         walk = Model.of(K=math.sqrt(2.0 / tau))
-        ratio = predicted_growth(process, 0.01, 0.5) / predicted_growth(walk, 0.01, 0.5)
+        ratio = process.growth(0.01, 0.5) / walk.growth(0.01, 0.5)
         assert ratio == pytest.approx(1.0, abs=1e-3)
