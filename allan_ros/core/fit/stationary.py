@@ -15,15 +15,17 @@ from dataclasses import replace
 
 import numpy as np
 
+from ..allan.at_rest import step_of_sums
 from ..allan.sums import AllanSums, part
 from ..errors import AllanError
 from ..findings import Finding, finding
 from ..imu import axes_of_sensors
+from ..noise import RANDOM_TERMS, Process
+from ..noise.processes.rounded_angle import rounding_of_counter
 from ..noise.processes.sinusoid import daily_cycle
 from .bias_changes import settling, settling_findings, step_findings
 from .candidates import Candidates
 from .coefficients import axis_fit, without_estimates
-from .counter import rounding_errors
 from .fit_findings import axis_findings, merge_equal
 from .frequency_range import estimate
 from .innovations import innovation_levels
@@ -36,7 +38,8 @@ from .period_levels import (
     scatter,
     white_noise_levels,
 )
-from .result import METHODS, AxisFit, NoiseModel, with_scatter
+from .result import METHODS, AxisFit, N, NoiseModel, Q, with_scatter
+from .selection import TOLERANCE
 from .statistics import Statistics, statistics
 
 LEAST_DRIFT_S = 10.0
@@ -190,6 +193,54 @@ def fit_likelihood(sums: AllanSums, of_axes: Sequence[Statistics] = ()) -> Noise
 
 def _is_constant(sums: AllanSums, axis: int) -> bool:
     return not np.any(sums.avar[:, axis] > 0.0)
+
+
+# --- rounding errors of a counter -----------------------------------------------------------------
+
+
+LEAST_STEP_RATIO = 1.8
+"""Least ratio of the squared step to the variance of the samples for which the correlation of the
+rounding errors is taken into account. This ratio is reached if the step is 1.6 times the standard
+deviation of the white noise of a sample. The correlation of successive rounding errors is then
+0.03 %."""
+
+LARGEST_STEP_DIFFERENCE = 0.2
+"""Largest relative difference between the fitted variance of the rounding errors and step^2/12. If
+the difference is larger, the samples are rounded without carrying the remainder."""
+
+STEP_ROUNDS = 3
+"""Number of times that the shape is computed from N, and N is fitted again."""
+
+
+def rounding_errors(sums: AllanSums, axis: int, data: AxisData) -> Process | None:
+    """Return the rounding errors of a counter with a large step, or None.
+
+    The result is None if no step is found, if the step is too small (`LEAST_STEP_RATIO`), or if the
+    fitted variance of the errors is not near step^2/12 (`LARGEST_STEP_DIFFERENCE`).
+
+    ``data`` are the statistics of the axis. The shape of the result is in samples. It depends on
+    the step, on the white noise, and on the rate, which the block means show
+    (`rounding_of_counter`).
+
+    Notes
+    -----
+    The shape is computed, not searched for. If the rounding errors are correlated, a fit with
+    quantization noise, which assumes independent errors, has a wrong N and Q. The spectrum of the
+    correlated errors differs from the spectrum of quantization noise mostly by a combination of the
+    spectra of Q and N. Therefore, a search by likelihood would find the correlation only in data
+    from which N and Q are already wrong by several standard errors.
+    """
+    step = step_of_sums(sums, axis, math.sqrt(data.scale))
+    if step is None or step**2 < LEAST_STEP_RATIO * data.scale:
+        return None
+    means = np.concatenate([m.values[:, axis] for r in sums.recordings for m in r.means])
+    effect_of_rate = complex(np.mean(np.exp(2j * math.pi / step * means)))
+    fit, rounding = data.solve(RANDOM_TERMS, tolerance=TOLERANCE), None
+    for _ in range(STEP_ROUNDS):
+        rounding = rounding_of_counter(step, float(fit.p[N]) * data.scale, effect_of_rate)
+        fit = data.solve((rounding, *RANDOM_TERMS[Q + 1 :]), None, fit.p, tolerance=TOLERANCE)
+    is_carried = abs(12.0 * fit.p[Q] * data.scale / step**2 - 1.0) < LARGEST_STEP_DIFFERENCE
+    return rounding if is_carried else None
 
 
 # --- findings about the level ---------------------------------------------------------------------
