@@ -2,15 +2,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Level of the noise in each period of a recording, and changes and scatter of this level.
 
-The level of white noise is the power of a period in the highest octaves, relative to all data. The
-level of drift is the power at frequencies with a relevant share of drift, relative to the fitted
-model.
+The level of white noise is the power of a period in the highest octaves, relative to all data.
+`drift_levels` computes the level of the drift.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -19,9 +18,7 @@ from numpy.typing import NDArray
 
 from ..allan.curve import Spectra, pooled_spectra
 from ..allan.sums import AllanSums
-from ..noise import Process
-from .result import AxisFit
-from .statistics import Floats, Statistics
+from .statistics import Floats
 
 LEVEL_CHANGES = 1e-3
 """Probability in Bartlett's test, or in a test of two levels, below which levels of the white noise
@@ -43,14 +40,6 @@ MEDIAN_CHI_SQUARED = 0.455
 PART = 0.04
 """Approximate length of a part of the data, relative to all data. A finding states the lowest and
 the highest N of the parts. Periods that are longer are not divided."""
-
-LEAST_SHARE = 0.3
-"""The level of the drift is measured in bins in which the drift has more than this share of the
-power, and in block means whose innovations have at least this share of drift in their variance."""
-
-LARGEST_SETTLING = 0.01
-"""The level of the drift is measured in bins in which a settling has less than this share of the
-power, because the share of a settling differs between the periods."""
 
 SCATTER = 0.005
 """Probability in Bartlett's test below which the levels of the parts of a recording are regarded as
@@ -331,61 +320,6 @@ def white_noise_levels(spectra: PeriodSpectra) -> PeriodLevels:
         power = whole.power[in_octave]
         no_sinusoid[in_octave] = power <= SINUSOID_RATIO * np.median(power, axis=0)
     return spectra.levels(whole.power, no_sinusoid)
-
-
-def total_and_drift(
-    fit: AxisFit, tau0: float, expected: Callable[[Process], Floats], size: int
-) -> tuple[Floats, Floats]:
-    """Return an expected statistic of the model of an axis, and the part that is due to drift.
-
-    Drift is all noise whose integral grows with time, except white noise.
-
-    Parameters
-    ----------
-    fit : AxisFit
-        Fit of the axis.
-    tau0 : float
-        Sample period in s.
-    expected : callable
-        Function that returns the statistic, (size,), of a process with the coefficient 1 and its
-        shape in samples.
-    size : int
-        Length of both results.
-    """
-    total, drift = np.zeros((2, size))
-    for part in fit.model.parts:
-        process = part.process.in_unit(tau0)
-        if process.is_regressor:
-            continue
-        of_part = part.process.variance_of(part.value, tau0) * expected(process)
-        total += of_part
-        if part.process.is_drift and not process.is_white:
-            drift += of_part
-    return total, drift
-
-
-def drift_levels(
-    spectra: PeriodSpectra, known: Sequence[Statistics], fits: Sequence[AxisFit], tau0: float
-) -> PeriodLevels:
-    """Return the level of the drift (`total_and_drift`) in each period.
-
-    Parameters
-    ----------
-    spectra : PeriodSpectra
-    known : sequence of Statistics
-        Statistics of the sums for each axis.
-    fits : sequence of AxisFit
-        Fit of each axis.
-    tau0 : float
-        Sample period in s.
-    """
-    expected, share = np.ones_like(spectra.whole.power), np.zeros_like(spectra.whole.power)
-    for i, (one, fit) in enumerate(zip(known, fits)):
-        total, drift = total_and_drift(fit, tau0, one.power_of, len(one.f))
-        used_bins = np.flatnonzero((total > 0.0) & (one.settling[:, i] < LARGEST_SETTLING))
-        expected[used_bins, i] = total[used_bins]
-        share[used_bins, i] = drift[used_bins] / total[used_bins]
-    return spectra.levels(expected, np.where(share > LEAST_SHARE, share, 0.0))
 
 
 def present_part(sums: AllanSums, levels: PeriodLevels) -> tuple[int, tuple[int, ...]] | None:

@@ -26,13 +26,12 @@ from ..noise.processes.sinusoid import daily_cycle
 from .bias_changes import settling, settling_findings, step_findings
 from .candidates import Candidates
 from .coefficients import axis_fit, without_estimates
+from .drift_levels import innovation_levels, spectrum_levels
 from .fit_findings import axis_findings, merge_equal
 from .frequency_range import estimate
-from .innovations import innovation_levels
 from .likelihood import AxisData
 from .period_levels import (
     PeriodLevels,
-    drift_levels,
     period_spectra,
     present_part,
     scatter,
@@ -126,7 +125,7 @@ def fit_stationary(
     findings = [*level_findings(data, levels, model), *findings, *model.findings]
     fits = list(model.axes.values())
     drifts = (
-        drift_levels(spectra, of_axis, fits, model.tau0),
+        spectrum_levels(spectra, of_axis, fits, model.tau0),
         innovation_levels(data, fits, settling_times),
     )
     return data, replace(_with_scatter(levels, drifts, model), findings=tuple(findings))
