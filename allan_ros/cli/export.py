@@ -20,9 +20,9 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from ..core.errors import AllanError
+from ..core.estimate import LIMIT_DIGITS, significant
 from ..core.fields import plain
 from ..core.imu import UNITS, sensor_of, shown_unit
-from ..core.number_text import LIMIT_DIGITS, significant
 from ..export import TARGETS, ExportOptions
 from ..readers.files import MAX_BYTES, read_text
 from ..results.datasheets import Datasheet, Limit, load_sensor, sensor_names

@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING
 
 from ..core.check import Check, Judgement, worst_verdict
 from ..core.errors import AllanError
-from ..core.estimate import NOTHING_KNOWN
+from ..core.estimate import LIMIT_DIGITS, NOTHING_KNOWN, significant
 from ..core.imu import AXES, SENSORS, ShownUnit, sensor_of, shown_unit
-from ..core.number_text import LIMIT_DIGITS, significant
 from ..results.measured import against_measured, measured_check_text
 from ..results.results import Level, Results
 from ..view.coefficient_table import coefficient_cell, coefficient_table

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""`Estimate`: a measured number with a 95 % interval or limits, and its conversion to text."""
+"""`Estimate`: a measured number with a 95 % interval or limits. Conversion of numbers to text."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ from typing import Annotated, Any, Literal
 from .errors import AllanError
 from .fields import Fields
 from .imu import UNITS, ShownUnit, to_si
-from .number_text import LIMIT_DIGITS, VALUE_DIGITS, significant
 from .settings import MAX_FLOAT, expect
 
 Ends = tuple[float, float]
@@ -33,6 +32,9 @@ RESOLVED_HALF_WIDTHS = 2.58 / Z_95
 """A number that may be negative is resolved if its magnitude is at least this multiple of half the
 width of its 95 % interval: false alarms of 1 % (two-sided). Measured for R: 1.0 % of 900 axes
 without R."""
+
+VALUE_DIGITS, LIMIT_DIGITS = 4, 3
+"""Numbers of significant digits of a value, and of a limit or an end of an interval."""
 
 NOTHING_KNOWN = '-'
 """Text for a number with neither a value nor a limit."""
@@ -289,3 +291,53 @@ def known_numbers(estimate: Estimate, unit: ShownUnit) -> tuple[float | None, ..
         converted.ci95 if converted.resolved and converted.ci95 is not None else (None, None)
     )
     return converted.value, low, high, None if converted.resolved else converted.upper95
+
+
+# --- numbers as text ------------------------------------------------------------------------------
+
+
+def significant(value: float, digits: int) -> str:
+    """Return a number rounded to ``digits`` significant digits, with trailing zeros.
+
+    Rounded magnitudes below 1e-4, or of 1e6 or more, are in exponential notation. Zero, NaN and
+    infinity have no digits: '0', 'nan' and 'inf'.
+
+    >>> significant(0.24199, 4), significant(31.8, 4), significant(12345.6, 3)
+    ('0.2420', '31.80', '12300')
+    """
+    if not math.isfinite(value) or value == 0.0:
+        return f'{value:g}'
+    exponent = math.floor(math.log10(abs(float(f'{value:.{digits - 1}e}'))))
+    if not -4 <= exponent <= 5:
+        return f'{value:.{digits - 1}e}'
+    decimals = digits - 1 - exponent
+    return f'{round(value, decimals):.{max(decimals, 0)}f}'
+
+
+def duration_text(seconds: float, digits: int = 2) -> str:
+    """Return a duration as text in s, min, h or days, with ``digits`` significant digits.
+
+    >>> duration_text(90.0), duration_text(1234.0, digits=3), duration_text(86400.0 * 3.456)
+    ('90 s', '20.6 min', '3.5 days')
+    """
+    for unit, size in (('days', 86400.0), ('h', 3600.0), ('min', 60.0)):
+        if seconds >= 2.0 * size:
+            return f'{float(f"{seconds / size:.{digits}g}"):g} {unit}'
+    return f'{float(f"{seconds:.{digits}g}"):g} s'
+
+
+def prefixed(unit: ShownUnit, size: float) -> ShownUnit:
+    """Return ``unit``, or this unit with a larger prefix if ``size`` would be 1000 or more in it.
+
+    ``size`` is a value in SI. Only the prefixes u and m of units that begin with g, rad or m/ are
+    replaced; any other unit is returned unchanged.
+
+    >>> prefixed(ShownUnit('ug', 1e6 / 9.80665), 0.0274).name
+    'mg'
+    """
+    name, factor = unit
+    for prefix, larger_prefix in (('u', 'm'), ('m', '')):
+        rest = name[1:] if name.startswith(prefix) else ''
+        if rest.startswith(('g', 'rad', 'm/')) and size * factor >= 1000.0:
+            name, factor = larger_prefix + rest, 1e-3 * factor
+    return ShownUnit(name, factor)

@@ -16,9 +16,9 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from ..core.errors import AllanError, one_line
+from ..core.estimate import LIMIT_DIGITS, duration_text, significant
 from ..core.filters.noise_parameters import horizon_text
 from ..core.findings import Finding, finding
-from ..core.number_text import LIMIT_DIGITS, duration_text, significant
 from ..results.from_datasheet import FROM_DATASHEET
 from ..results.results import MOTION_MEASURED
 from ..version import __version__

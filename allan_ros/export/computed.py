@@ -19,12 +19,11 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 from ..core.errors import AllanError
-from ..core.estimate import Estimate
+from ..core.estimate import LIMIT_DIGITS, VALUE_DIGITS, Estimate, significant
 from ..core.filters.noise_parameters import FilterLevel
 from ..core.filters.state_space import StateSpace
 from ..core.imu import AXES, SI_UNITS, sensor_of
 from ..core.noise import Model
-from ..core.number_text import LIMIT_DIGITS, VALUE_DIGITS, significant
 from .filter_noise import NOTATIONS, FilterNoise, Notation, clamped, rounded
 from .target import ANY_NODE, Key, Row
 

@@ -20,6 +20,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from ..core.errors import AllanError
+from ..core.estimate import LIMIT_DIGITS, VALUE_DIGITS, significant
 from ..core.filters.noise_parameters import (
     FilterLevel,
     Reduction,
@@ -32,7 +33,6 @@ from ..core.filters.noise_parameters import (
 from ..core.findings import Finding, finding
 from ..core.imu import AXES, HOUR, SENSORS, SI_UNITS, UNITS, sensor_of
 from ..core.noise import GaussMarkov, Part
-from ..core.number_text import LIMIT_DIGITS, VALUE_DIGITS, significant
 from ..core.stream.drive_recorder import LEAST_DRIVES
 from ..results.from_datasheet import FROM_DATASHEET
 from ..results.results import UNSUITABLE

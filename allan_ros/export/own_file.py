@@ -10,10 +10,10 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, NamedTuple
 
 from ..core.errors import AllanError
+from ..core.estimate import significant
 from ..core.filters.growth import growth_table
 from ..core.imu import AXES, DEGREE, HOUR, SENSORS, UNITS, sensor_of
 from ..core.noise import GaussMarkov, Model
-from ..core.number_text import significant
 from .filter_noise import FilterNoise, notation_of
 from .target import ExportOptions, Key, Target
 

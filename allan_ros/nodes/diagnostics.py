@@ -18,12 +18,11 @@ from ..core.allan.recent import NoiseStep
 from ..core.allan.sums import AllanSums
 from ..core.check import Check
 from ..core.errors import one_line
-from ..core.estimate import Estimate, value_text
+from ..core.estimate import LIMIT_DIGITS, Estimate, duration_text, significant, value_text
 from ..core.findings import Finding, by_consequence, finding, quantity
 from ..core.fit.fit_findings import recommended_duration
 from ..core.fit.result import TERMS
 from ..core.imu import sensor_of, shown_unit
-from ..core.number_text import LIMIT_DIGITS, duration_text, significant
 from ..core.stream.health import StreamHealth
 from ..core.stream.transport import TransportStatistics
 from ..results.axis_result import AxisResult

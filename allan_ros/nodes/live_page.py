@@ -16,7 +16,7 @@ from rclpy.node import Node
 from std_msgs.msg import String
 
 from ..core.errors import AllanError
-from ..core.number_text import duration_text
+from ..core.estimate import duration_text
 from ..results.analysis import analyze_sums
 from ..view.report import render_report
 from .messages import Snapshot

@@ -8,9 +8,9 @@ import math
 
 from diagnostic_msgs.msg import DiagnosticStatus
 
+from ..core.estimate import significant
 from ..core.findings import finding
 from ..core.imu import AXES, sensor_of
-from ..core.number_text import significant
 from ..core.stream.drive_recorder import LEAST_DRIVES, Drives
 from ..results.motion import INTEGRAL_NAMES, LEAST_REST_S, causes_text
 from ..results.results import Results

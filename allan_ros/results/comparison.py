@@ -10,10 +10,10 @@ from typing import Any
 
 from ..core.check import FAMILY_ERROR, Check, differences, worst_verdict
 from ..core.errors import AllanError, one_line
+from ..core.estimate import significant
 from ..core.fields import plain
 from ..core.filters.noise_parameters import shortest_horizon
 from ..core.imu import sensor_of
-from ..core.number_text import significant
 from .datasheets import Datasheet, sheet_to_document
 from .documents import results_to_document
 from .measured import against_measured

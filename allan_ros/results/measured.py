@@ -11,9 +11,8 @@ import math
 from collections.abc import Iterable, Iterator
 
 from ..core.check import Check, Judgement
-from ..core.estimate import Estimate
+from ..core.estimate import Estimate, significant
 from ..core.imu import AXES, DATASHEET_UNITS, SENSORS, UNITS
-from ..core.number_text import significant
 from .datasheets import Datasheet, Measured
 from .results import Results
 

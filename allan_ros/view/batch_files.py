@@ -15,9 +15,8 @@ from urllib.parse import quote
 import numpy as np
 
 from ..core.allan.curve import AxisCurve
-from ..core.estimate import Estimate
+from ..core.estimate import Estimate, significant
 from ..core.imu import AXES, SENSORS, sensor_of, shown_unit
-from ..core.number_text import significant
 from ..results.plan import Limits
 from ..results.results import Results
 from ..results.unit_check import UnitCheck

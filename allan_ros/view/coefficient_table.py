@@ -8,10 +8,9 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from ..core.estimate import Estimate, interval_text, known_numbers, value_text
+from ..core.estimate import Estimate, interval_text, known_numbers, prefixed, value_text
 from ..core.fit.result import TERMS
 from ..core.imu import ShownUnit, sensor_of, shown_unit
-from ..core.number_text import prefixed
 from .table import Cell, Heading, Table
 
 Coefficients = Mapping[str, Mapping[str, Estimate]]

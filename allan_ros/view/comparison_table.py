@@ -13,11 +13,10 @@ import numpy as np
 
 from ..core.allan.common_noise import CommonNoise
 from ..core.check import Check
-from ..core.estimate import NOTHING_KNOWN, UNKNOWN, Estimate
+from ..core.estimate import NOTHING_KNOWN, UNKNOWN, Estimate, prefixed, significant
 from ..core.filters.noise_parameters import horizon_text
 from ..core.fit.result import TERMS
 from ..core.imu import SI_UNITS, sensor_of, shown_unit
-from ..core.number_text import prefixed, significant
 from ..results.common_result import CommonResult
 from ..results.comparison import Inflation, RunComparison, significant_of, use_of
 from ..results.results import Results

@@ -8,8 +8,8 @@ import math
 from collections.abc import Iterator, Sequence
 
 from ..core.check import Check
+from ..core.estimate import significant
 from ..core.findings import grouped
-from ..core.number_text import significant
 from ..results.comparison import RunComparison, significant_of
 from ..results.results import UNSUITABLE, WRONG_UNITS, Results
 from .finding_text import texts_of

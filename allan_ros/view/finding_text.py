@@ -14,10 +14,9 @@ from pkgutil import get_data
 from typing import Any, NamedTuple
 
 from ..core.errors import AllanError, one_line
-from ..core.estimate import Estimate
+from ..core.estimate import Estimate, duration_text, prefixed, significant
 from ..core.findings import QUANTITIES, Finding, Several, unit_term
 from ..core.imu import shown_unit
-from ..core.number_text import duration_text, prefixed, significant
 
 FIELD = re.compile(r'\{(\w+)(?::([^{}]*))?\}')
 """A template field ``{name}`` or ``{name:format}``. The format is a format specification of Python,

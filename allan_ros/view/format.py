@@ -11,10 +11,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.estimate import RESOLVED_HALF_WIDTHS, value_text
+from ..core.estimate import RESOLVED_HALF_WIDTHS, prefixed, significant, value_text
 from ..core.fit.result import Deviation, TemperatureModel
 from ..core.imu import ShownUnit, shown_unit
-from ..core.number_text import prefixed, significant
 
 if TYPE_CHECKING:
     from ..results.axis_result import AxisResult

@@ -9,10 +9,9 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from ..core.estimate import NOTHING_KNOWN, Estimate
+from ..core.estimate import NOTHING_KNOWN, VALUE_DIGITS, Estimate, significant
 from ..core.fit.result import TERMS
 from ..core.imu import ShownUnit, sensor_of
-from ..core.number_text import VALUE_DIGITS, significant
 from ..core.settings import UNIT_SYSTEMS
 from ..export import RAISED, origin_text, target_rows
 from ..results.axis_result import AxisResult

@@ -7,10 +7,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from ..core.check import Check
-from ..core.estimate import Estimate
+from ..core.estimate import LIMIT_DIGITS, Estimate, significant
 from ..core.findings import grouped
 from ..core.imu import AXES, SENSORS, sensor_of
-from ..core.number_text import LIMIT_DIGITS, significant
 from ..results.plan import Limits, Plan
 from ..results.results import WRONG_UNITS, Results
 from ..results.unit_check import BROKEN, UnitCheck

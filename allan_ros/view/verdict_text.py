@@ -8,10 +8,10 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from ..core.check import Check
+from ..core.estimate import duration_text, significant
 from ..core.findings import Finding, by_consequence, grouped, is_note
 from ..core.fit.fit_findings import ADVISED_TERMS, TOO_SHORT_S
 from ..core.imu import AXES, SENSORS, sensor_of, shown_unit
-from ..core.number_text import duration_text, significant
 from ..results.results import (
     SENSOR_FAULTS,
     UNSUITABLE,

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Estimates: units, signs, and which of the two intervals is shown."""
+"""Estimates: units, signs, which of the two intervals is shown, and numbers as text."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import math
 import pytest
 
 from allan_ros.core.errors import AllanError
-from allan_ros.core.estimate import Estimate, interval_text, known_numbers, value_text
+from allan_ros.core.estimate import Estimate, interval_text, known_numbers, significant, value_text
 from allan_ros.core.imu import ShownUnit
 
 PLAIN = ShownUnit('', 1.0)
@@ -63,3 +63,20 @@ def test_a_number_that_is_not_resolved_is_shown_by_its_limit(estimate: Estimate,
 
 def test_a_narrow_interval_has_more_digits() -> None:
     assert interval_text(Estimate(0.242, (0.2414, 0.2426)), PLAIN) == '0.2414..0.2426'
+
+
+@pytest.mark.parametrize(
+    ('value', 'digits', 'text'),
+    [
+        (0.241996, 4, '0.2420'),
+        (31.8, 4, '31.80'),
+        (9.9996, 4, '10.00'),
+        (12345.6, 3, '12300'),
+        (1.23456e-7, 3, '1.23e-07'),
+        (-5.0, 2, '-5.0'),
+        (0.0, 3, '0'),
+        (math.inf, 3, 'inf'),
+    ],
+)
+def test_digits(value: float, digits: int, text: str) -> None:
+    assert significant(value, digits) == text

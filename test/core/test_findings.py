@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from support.findings import example
 
 from allan_ros.core import findings
+from allan_ros.core.estimate import duration_text, significant
 from allan_ros.core.fields import Fields
 from allan_ros.core.findings import (
     CATALOG,
@@ -25,7 +26,6 @@ from allan_ros.core.findings import (
     grouped,
     is_note,
 )
-from allan_ros.core.number_text import duration_text, significant
 from allan_ros.results.documents import finding_from_document
 
 PACKAGE = Path(findings.__file__).parents[1]

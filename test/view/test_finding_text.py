@@ -11,9 +11,9 @@ import pytest
 from support.findings import example
 
 from allan_ros.core.errors import AllanError
+from allan_ros.core.estimate import significant
 from allan_ros.core.findings import CATALOG, finding, grouped, quantity
 from allan_ros.core.imu import SI_UNITS, shown_unit
-from allan_ros.core.number_text import significant
 from allan_ros.view.finding_text import (
     FIELD,
     OPTIONAL,

@@ -25,12 +25,12 @@ import numpy as np
 
 from ..allan.periods import BlockMeans
 from ..allan.sums import AllanSums
+from ..estimate import duration_text
 from ..findings import Finding, finding, quantity
 from ..imu import sensor_of
 from ..noise import RANDOM_TERMS, Process
 from ..noise.derived import avar
 from ..noise.processes.sinusoid import daily_cycle
-from ..number_text import duration_text
 from .likelihood import AxisData, Columns, Fit, LowBand
 from .result import K
 from .statistics import (

@@ -23,9 +23,9 @@ from typing import TYPE_CHECKING, Any
 import numpy
 import scipy
 
+from ...core.estimate import duration_text, significant
 from ...core.findings import Finding
 from ...core.imu import AXES, SENSORS
-from ...core.number_text import duration_text, significant
 from ...core.settings import UNIT_SYSTEMS
 from ...core.stream.signal import SignalSummary
 from ...results.axis_result import AxisResult

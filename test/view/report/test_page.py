@@ -16,9 +16,9 @@ import numpy as np
 import pytest
 import yaml
 
+from allan_ros.core.estimate import significant
 from allan_ros.core.findings import Finding
 from allan_ros.core.imu import ImuBatch, ImuIdentity
-from allan_ros.core.number_text import significant
 from allan_ros.core.stream.health import Event, Segment
 from allan_ros.core.stream.signal import SignalEnvelope, TemperatureTrace, summarize_signal
 from allan_ros.readers import SourceInfo

@@ -11,9 +11,8 @@ from dataclasses import replace
 import pytest
 
 from allan_ros.core.allan.at_rest import TurnOnBias
-from allan_ros.core.estimate import Estimate
+from allan_ros.core.estimate import Estimate, significant
 from allan_ros.core.fit.result import AxisFit, model_of_terms
-from allan_ros.core.number_text import significant
 from allan_ros.results.axis_result import AxisResult
 from allan_ros.results.results import Results
 from allan_ros.view.format import NO_BREAK
