@@ -182,7 +182,7 @@ class FilterNoise:
         self.used: dict[str, Reduction] = {}
 
     def rows(self) -> list[Row]:
-        """Return the rows of the file."""
+        """Return the rows of the exported file: each key with its value."""
         target = self.target
         rows = [self.row(key) for key in target.keys]
         rows += [Row((*target.parent, key), value) for key, value in target.fixed.items()]

@@ -103,7 +103,7 @@ RECOGNIZED_UNITS = ('s', 'ms', 'us', 'ns')
 class Meaning(NamedTuple):
     """What a column contains, according to its name."""
 
-    kind: str  # a kind of `_KINDS`; '' if unknown
+    kind: str  # kind of the column, as in `_KINDS`; '' if unknown
     axis: str = ''  # 'x', 'y' or 'z' for a column of a sensor
     unit: str = ''  # unit according to the name; '' if the name states none
     unknown: str = ''  # text at the place of the unit if it is no known unit; otherwise ''

@@ -425,6 +425,6 @@ def _curve_from_document(fields: Fields) -> AxisCurve:
     if len({len(column) for column in vars(curve).values()}) > 1:
         raise AllanError(f'{fields.where}: its columns have different lengths')
     tau = curve.tau
-    if len(tau) and not (tau[0] > 0.0 and (np.diff(tau) > 0.0).all()):  # NaN fails, too
+    if len(tau) and not (tau[0] > 0.0 and (np.diff(tau) > 0.0).all()):  # NaN fails the test, too
         raise AllanError(f'{fields.where}.tau is not positive and increasing')
     return curve

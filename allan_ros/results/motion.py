@@ -127,8 +127,8 @@ def measure_motion(
 def noise_at_rest(axes: Mapping[str, AxisResult]) -> list[NoiseAtRest]:
     """Return the noise of the six axes at rest, in the order of `AXES`.
 
-    If B or K of an axis is not resolved, the upper limit of this term, if it is known, is given
-    instead of the estimate, because the estimate can exceed the true value by far.
+    If B or K of an axis is not resolved, the estimate can exceed the true value by far. Instead of
+    the estimate, the upper limit of the term, if it is known, is used as `axis_noise` describes.
     """
     noise_of_axes = []
     for name in AXES:

@@ -165,8 +165,7 @@ class Model:
             0 for the lower ends of the intervals, 1 for the upper ends.
         scatter : float
             Half-width of the 95 % interval for the logarithm of the drift amplitude in another hour
-            (`AxisFit.drift_scatter`). It widens the intervals of processes that are drift
-            (`Process.is_drift`).
+            (`AxisFit.drift_scatter`). It widens the intervals of the drift (`Process.is_drift`).
         """
 
         def value(part: Part) -> float:

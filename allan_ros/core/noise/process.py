@@ -119,7 +119,7 @@ class Process:
     """
 
     name: ClassVar[str]
-    """Name in documents, unique."""
+    """Unique name of the process in documents."""
 
     label: ClassVar[str]
     """Name in charts and tables, with fields for shape parameters: 'GM {correlation_time} s'."""

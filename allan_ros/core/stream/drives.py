@@ -100,7 +100,7 @@ class Drive:
 
     @property
     def duration(self) -> float:
-        """Duration in s."""
+        """Duration of the drive in s."""
         return len(self.gyro) * self.tau0
 
 

@@ -176,7 +176,7 @@ class Longest(Generic[T]):
 
 @dataclass(frozen=True)
 class StreamHealth:
-    """State and counts of a stream."""
+    """State, counts, events and faults of a stream of samples."""
 
     counts: Counts  # a copy that later samples do not change
     state: State = 'waiting'
@@ -429,8 +429,8 @@ def changed_gyro_unit(gyro: Floats, accel: Floats = NO_AXES) -> str:
     """Return the unit to which a gyro changed from rad/s, or '' if it did not change.
 
     ``gyro`` and ``accel``, (axes,), are the ratios of the noise now to the noise before. The unit
-    changed if the ratios of all three axes of the gyro agree with the factor of a unit, and the
-    noise of the accelerometer has not risen as well.
+    changed if the ratios of all three axes of the gyro agree with the factor of a unit
+    (`UNIT_ERROR`), and no ratio of the accelerometer exceeds `LARGEST_ACCEL_RATIO`.
 
     >>> changed_gyro_unit(np.array([57.0, 58.0, 57.3])), changed_gyro_unit(np.full(3, 9.0))
     ('deg/s', '')

@@ -346,7 +346,7 @@ class NoiseFloor:
 
         ``ratio``, (axes,), is the standard deviation of the noise at this time, divided by the
         standard deviation at the other time, at which the unit was rad/s. The result is also '' for
-        fewer than three axes of the gyro, or if the noise of the accelerometer is larger, too.
+        fewer than three axes of the gyro, or if the noise of the accelerometer is much larger, too.
         """
         return changed_gyro_unit(ratio[self.gyro], ratio[~self.gyro])
 

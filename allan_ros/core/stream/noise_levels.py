@@ -86,7 +86,7 @@ class NoiseLevel:
 
     @property
     def samples(self) -> int:
-        """Number of samples in the sums."""
+        """Number of samples in the sums of this level."""
         return self._engine.samples
 
     @property

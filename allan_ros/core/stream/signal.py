@@ -82,7 +82,7 @@ class SignalEnvelope:
 
     @property
     def bins(self) -> int:
-        """Number of bins."""
+        """Number of bins that contain samples."""
         return -(-self._samples // self._step)
 
     def statistics(self, step: int = 1) -> dict[str, Floats]:

@@ -249,8 +249,8 @@ def rayleigh_period(stamps: Stamps, period: float, relative_range: float) -> flo
     """Return the sample period in ns, near ``period``, that fits stamps with jitter best.
 
     ``stamps``, (n,), are in ns. The result maximizes the Rayleigh statistic of the phases of the
-    stamps t, |sum exp(2 pi i t / p)|, over periods p that differ from ``period`` by at most the
-    fraction ``relative_range`` (K. V. Mardia, P. E. Jupp, Directional Statistics, 2000,
+    stamps t, |sum exp(2 pi i t / p)|, over periods p for which 1/p differs from 1/``period`` by at
+    most the fraction ``relative_range`` (K. V. Mardia, P. E. Jupp, Directional Statistics, 2000,
     section 6.3). Lost samples do not move the maximum.
     """
     step = np.diff(stamps) / period

@@ -227,8 +227,8 @@ class TransportMonitor:
     ) -> tuple[Finding, ...]:
         """Return the current findings; call it about once a second.
 
-        Findings about the present come before findings about past events, and the most severe
-        come first in both groups.
+        Findings about the present come before findings about past events. In both groups, the
+        findings with the most serious consequences come first.
 
         ``transport`` and ``health`` contain the counts since the start. ``publishers`` are the
         names of the publishing nodes. After ``stale_after`` s without a message, this is reported.
