@@ -39,14 +39,12 @@ from .noise_floor import (
     MOVING_AXES,
     SHAKEN_RATIO,
     NoiseFloor,
-    Windows,
-    is_stuck,
 )
 from .noise_levels import Change, NoiseLevels, NoiseRatios
 from .present_faults import present_faults
-from .recent_windows import RecentWindows, WindowPart
 from .rest_filter import SPIKE_NEIGHBORS, RestFilter, without_spikes
 from .sensors import clipped_shares
+from .windows import RecentWindows, WindowPart, Windows, is_stuck
 
 WINDOW_S = 0.5
 """Length of a window in s: long enough for a variance, short compared with a motion."""

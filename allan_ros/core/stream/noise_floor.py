@@ -8,7 +8,6 @@ floor, and classified as at rest or moving.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import NamedTuple
@@ -16,10 +15,10 @@ from typing import NamedTuple
 import numpy as np
 
 from ..imu import Flags, Floats
-from ..memory import aligned
 from ..settings import SegmenterSettings
 from .health import changed_gyro_unit, gravity_unit
 from .sensors import clipped_shares, extreme_shares
+from .windows import WindowClass, Windows, idle_share, is_stuck, von_neumann_ratio
 
 LEAST_WINDOW = 16
 """Smallest number of samples in a window; the variance of fewer samples is too uncertain."""
@@ -58,14 +57,6 @@ IDLE_SHARE = 0.4
 """A window with at least this share of idle samples does not consist of measurements. A sample is
 idle if all axes of a sensor are zero or repeat the previous sample. In white noise on three axes
 with a standard deviation above the resolution, 2 % of the samples are idle."""
-
-STUCK_SHARE = 0.75
-"""An axis is stuck in a window if it repeats one value, without interruption, for at least this
-share of the samples."""
-
-ROUNDING_OF_MEANS = 1e-13
-"""A standard deviation below this fraction of the mean is a rounding error: no sensor has a
-resolution of 43 bits."""
 
 COLORED_STEP = 3.0
 """If the steps between window means exceed the steps of white noise by this factor, the noise is
@@ -126,96 +117,6 @@ PLAUSIBLE_DEVIATION, PLAUSIBLE_STEP = (0.1, 1.5), (0.0087, 0.15)
 is for the standard deviation in a window if low frequencies dominate the noise. The second is for
 the step between the means of neighboring windows if white noise does not explain this step. White
 noise has no limit, because very large white noise is due to a wrong unit, not to motion."""
-
-
-@dataclass(frozen=True)
-class Windows:
-    """Mean, variance and largest deviation from the mean of k windows: ``values``, (3, axes, k)."""
-
-    values: Floats
-
-    mean = property(lambda self: self.values[0])
-    variance = property(lambda self: self.values[1])
-    peak = property(lambda self: self.values[2])
-
-    @classmethod
-    def of(cls, rows: Floats, size: int) -> Windows:
-        """Compute the statistics of windows of ``size`` samples of ``rows``, (axes, n).
-
-        Samples after the last complete window are ignored.
-        """
-        windows = rows[:, : rows.shape[1] // size * size].reshape(len(rows), -1, size)
-        mean = np.add.reduce(windows, axis=2) / size
-        deviations = np.subtract(windows, mean[:, :, None], out=aligned(windows.shape))
-        variance = np.einsum('ijk,ijk->ij', deviations, deviations) / max(size - 1, 1)
-        peak = np.abs(deviations, out=deviations).max(axis=2)
-        # the variance of constant samples is 0, but rounding of their mean makes it positive
-        variance[variance <= (ROUNDING_OF_MEANS * mean) ** 2] = 0.0
-        return cls(np.stack([mean, variance, peak]))
-
-    @classmethod
-    def joined(cls, parts: Iterable[Windows]) -> Windows:
-        """Concatenate the windows of at least one part."""
-        return cls(np.concatenate([part.values for part in parts], axis=2))
-
-
-def idle_share(rows: Floats, size: int) -> Floats:
-    """Return the share of idle samples in windows of ``size`` samples, (k,).
-
-    ``rows`` are the samples of one sensor, (axes, n). A sample is idle if all axes are zero or
-    repeat the previous sample.
-    """
-    number = rows.shape[1] // size
-    first_axis, *other_axes = rows[:, : number * size]
-    is_repeated, is_zero = first_axis[1:] == first_axis[:-1], first_axis == 0.0
-    for values in other_axes:
-        # the common case: no sample is idle
-        if not (np.count_nonzero(is_repeated) or np.count_nonzero(is_zero)):
-            return np.zeros(number)
-        is_repeated &= values[1:] == values[:-1]
-        is_zero &= values == 0.0
-    is_idle = is_zero | np.concatenate([[False], is_repeated])
-    return np.asarray(is_idle.reshape(-1, size).mean(axis=1))
-
-
-def is_stuck(rows: Floats, size: int) -> Flags:
-    """Return in which windows of ``size`` samples an axis repeats one value, (axes, k).
-
-    ``rows`` are the samples, (axes, n), and samples after the last complete window are ignored. The
-    axis must repeat the value without interruption for at least `STUCK_SHARE` of the window, and
-    may change in the rest, for example when a fault begins or ends.
-    """
-    windows = rows[:, : rows.shape[1] // size * size].reshape(len(rows), -1, size)
-    index = np.arange(size)
-    has_changed = np.ones(windows.shape, bool)
-    has_changed[:, :, 1:] = windows[:, :, 1:] != windows[:, :, :-1]
-    run_lengths = index - np.maximum.accumulate(np.where(has_changed, index, 0), axis=2) + 1
-    return np.asarray(run_lengths.max(axis=2, initial=0) >= STUCK_SHARE * size)
-
-
-def von_neumann_ratio(parts: Iterable[Floats]) -> Floats:
-    """Return the von Neumann ratio per axis, (axes,): 1 for white noise, near 0 for slow motion.
-
-    The ratio is half the mean square of the differences between neighboring samples, divided by the
-    variance. Each part, (axes, n), is a sequence of samples without a gap. The ratio is NaN if the
-    samples are constant. Source: J. von Neumann, Annals of Mathematical Statistics 12 (1941), 367.
-    """
-    parts = list(parts)
-    differences = sum((np.diff(rows, axis=1) ** 2).sum(axis=1) for rows in parts)
-    deviations = sum(rows.var(axis=1) * rows.shape[1] for rows in parts)
-    with np.errstate(invalid='ignore', divide='ignore'):
-        return np.asarray(0.5 * np.asarray(differences) / deviations)
-
-
-class WindowClass(NamedTuple):
-    """Classification of k windows; each field is an array of flags, (k,)."""
-
-    moving: Flags  # the window is not at rest: in motion, stuck, decreased, or foreign
-    quiet: Flags  # the noise is below the limits at which a motion ends
-    stuck: Flags  # an axis repeats one value
-    decreased: Flags  # the noise of an axis is much smaller than the noise floor
-    foreign: Flags  # the samples are not measurements in the units of the noise floor
-    rotating: Flags  # only the mean angular rate differs from a window at rest
 
 
 class Limits(NamedTuple):

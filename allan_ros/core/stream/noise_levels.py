@@ -25,7 +25,7 @@ from .sensors import MIN_CLIPPED, Clipping
 Change = Literal['noise_decreased', 'noise_increased']
 """How the noise of a level differs from the noise of the previous level."""
 
-Excluded = Literal['moving', 'stuck', 'noise_decreased', 'noise_increased']
+ExcludedAs = Literal['moving', 'stuck', 'noise_decreased', 'noise_increased']
 """Field of `Counts` that counts the samples of a noise level whose sums are not the result."""
 
 
@@ -134,7 +134,7 @@ class NoiseLevel:
             self._engine.end_segment()
             self._replaced.add(None)
 
-    def counted_as(self, excluded: Excluded) -> Counts:
+    def counted_as(self, excluded: ExcludedAs) -> Counts:
         """Return the counts of this level if its sums are excluded for the given reason."""
         counts = replace(
             self.counts, used=0, shocks=0, replaced=0, splits=self.counts.splits.copy()
@@ -162,7 +162,7 @@ class NoiseLevels:
         self._began_ns = 0  # stamp at which the noise changed to the level on trial
 
         # how the samples of the other level are counted if its sums are not the result
-        self._other_is: Excluded = 'moving'
+        self._other_is: ExcludedAs = 'moving'
         self._dropped = Counts()  # counts of the levels that were discarded
         self._drops = 0  # number of levels that were discarded after they were the result
 

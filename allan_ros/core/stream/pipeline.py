@@ -21,11 +21,11 @@ from ..settings import SegmenterSettings
 from .cleaning import CoveredTime, StampChoice, StampSorter, are_ordered
 from .drive_recorder import NO_DRIVES, Drives
 from .health import Accumulation, Counts, Means, State, StreamHealth, stream_findings
-from .noise_floor import idle_share
 from .noise_levels import StreamSums
 from .sensor_stream import SensorStream
 from .sensors import plan_sensors
 from .timing import LEARN, learned_from
+from .windows import idle_share
 
 CHECKED = LEARN // 8
 """Number of samples that are examined together to decide whether a fault of the first samples has

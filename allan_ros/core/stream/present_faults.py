@@ -12,8 +12,9 @@ from ..allan.sums import AllanSums
 from ..findings import Finding, finding
 from ..imu import SENSORS, STANDARD_GRAVITY, Floats, sensor_of
 from .health import WEIGHTLESS, StreamHealth, gravity_findings, gravity_unit
-from .noise_floor import SAME_GRAVITY, NoiseFloor, Windows, is_stuck
+from .noise_floor import SAME_GRAVITY, NoiseFloor
 from .sensors import zeros_and_repeats
+from .windows import Windows, is_stuck
 
 STEADY_CHANGE = 0.1
 """A mean acceleration is compared with gravity if the steps between the means of neighboring

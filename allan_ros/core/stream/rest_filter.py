@@ -20,16 +20,9 @@ import numpy as np
 
 from ..imu import Flags, Floats, ImuBatch, joined
 from .health import Counts, Event, Longest
-from .noise_floor import (
-    LEAST_WINDOW,
-    MAD_TO_SIGMA,
-    TILT,
-    NoiseFloor,
-    WindowClass,
-    Windows,
-    is_stuck,
-)
+from .noise_floor import LEAST_WINDOW, MAD_TO_SIGMA, TILT, NoiseFloor
 from .noise_levels import Change, NoiseLevels
+from .windows import WindowClass, Windows, is_stuck
 
 SPIKE_SIGMAS = 7.0
 """An isolated sample is a spike if it deviates from the median of its window by more than this
