@@ -120,7 +120,7 @@ def run(args: argparse.Namespace) -> int:
         start_ns=round(args.start * NANOSECONDS),
         frame_id=args.frame_id,
     )
-    written = write_recording(
+    n_written = write_recording(
         args.output,
         _tracked(batches, samples, console),
         topic=args.topic,
@@ -133,14 +133,14 @@ def run(args: argparse.Namespace) -> int:
         console.document(
             {
                 'path': args.output,
-                'samples': written,
+                'samples': n_written,
                 'duration_s': seconds,
                 'rate_hz': args.rate,
                 'truth': str(truth),
             }
         )
     elif not console.quiet:
-        length = f'{written} samples, {seconds:g} s at {args.rate:g} Hz'
+        length = f'{n_written} samples, {seconds:g} s at {args.rate:g} Hz'
         print(one_line(f'{args.output}: {length}; truth in {truth}'))
     return 0
 

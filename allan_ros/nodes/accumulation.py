@@ -87,11 +87,11 @@ class SumsOutput:
         a message is made and published only if the topic has a subscriber.
         """
         self.latest, self.state = snapshot, state
-        united = snapshot if accel is None else snapshot.with_accel(accel)
+        complete = snapshot if accel is None else snapshot.with_accel(accel)
         for listener in self._listeners:
-            listener(united)
+            listener(complete)
         if self._publisher.get_subscription_count():
-            text = json.dumps(united.to_document(), separators=(',', ':'), allow_nan=False)
+            text = json.dumps(complete.to_document(), separators=(',', ':'), allow_nan=False)
             self._publisher.publish(String(data=text))
 
 
@@ -160,9 +160,9 @@ class ImuWatch(NodePart):
             self._update()
             # A separate accelerometer publishes its own sums. This object listens to it, and then
             # publishes the sums of both sensors.
-            publishing = self._accel or self
-            publishing._update()
-            publishing._publish(publishing._total())
+            publishing_watch = self._accel or self
+            publishing_watch._update()
+            publishing_watch._publish(publishing_watch._total())
         elif has_new_subscriber:  # a new subscriber need not wait until sums are due
             self._publish(self._total())
         if self._save_due.due(now):

@@ -165,14 +165,14 @@ class ImuEstimate(NodePart):
             return []
         latest = self._snapshot
         measured_axes = [(axis, s, s.identity) for s in latest.sums for axis in s.axes]
-        connected = ImuIdentity(latest.frame_id, latest.hardware_id)
-        waiting_axes = [(axis, None, connected) for axis in latest.axes]
+        connected_imu = ImuIdentity(latest.frame_id, latest.hardware_id)
+        waiting_axes = [(axis, None, connected_imu) for axis in latest.axes]
         statuses = [self._axis_status(now, *each) for each in measured_axes or waiting_axes]
         if latest.drives.errors or latest.drives.unused:
             name = status_name(self._node, self._label, 'in motion')
-            imu = one_line(latest.hardware_id or latest.frame_id)
+            imu_name = one_line(latest.hardware_id or latest.frame_id)
             results, limit = self._results, self._settings.value.motion_limit
-            statuses.append(motion_status(name, imu, latest.drives, results, limit))
+            statuses.append(motion_status(name, imu_name, latest.drives, results, limit))
         return statuses
 
     def _comparisons(self, margin: float) -> tuple[Check, ...]:

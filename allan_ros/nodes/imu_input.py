@@ -114,10 +114,10 @@ def _loss_event(subscription: Subscription) -> Any:
     Fast DDS, an executor that waits for such an event wakes again and again while the subscription
     has unread messages.
     """
-    lost = QoSSubscriptionEventType.RCL_SUBSCRIPTION_MESSAGE_LOST
+    event_type = QoSSubscriptionEventType.RCL_SUBSCRIPTION_MESSAGE_LOST
     try:
         with subscription.handle:
-            return _EVENT_HANDLE(subscription.handle, lost)
+            return _EVENT_HANDLE(subscription.handle, event_type)
     except (TypeError, UnsupportedEventTypeError):
         return None
 
@@ -332,9 +332,9 @@ class ImuInput:
         """
         if self._loss is not None:
             with self._loss:
-                data = self._loss.take_event()
-            if data is not None:
-                self._statistics.reported_lost = data.total_count
+                event_data = self._loss.take_event()
+            if event_data is not None:
+                self._statistics.reported_lost = event_data.total_count
         return self._statistics
 
     def close(self) -> None:

@@ -45,9 +45,10 @@ def motion_status(
     for sensor, sensor_motion in motion.sensors.items():
         low, high = sensor_motion.factor.ci95 or (0.0, math.inf)
         ratio, error = sensor_motion.factor.value or 1.0, INTEGRAL_NAMES[sensor]
-        numbers = [significant(value, 2) for value in (ratio, low, high)]
-        error_texts.append(f'{error} error {numbers[0]} ({numbers[1]} to {numbers[2]})')
-        pairs += [(f'factor of the {error} error{end}', text) for end, text in zip(ENDS, numbers)]
+        ratio_and_ends = [significant(value, 2) for value in (ratio, low, high)]
+        error_texts.append('{} error {} ({} to {})'.format(error, *ratio_and_ends))
+        factor_key = f'factor of the {error} error'
+        pairs += [(f'{factor_key}{end}', text) for end, text in zip(ENDS, ratio_and_ends)]
         for term, factor in sensor_motion.raised.items():
             pairs.append((f'factor of {term} of the {sensor}', significant(factor.value or 1.0, 2)))
         if low > limit:

@@ -292,13 +292,13 @@ class AllanNode(Node):
             except Exception as error:
                 self.fault(f'{type(part).__name__} diagnostics', error)
         faults = list(self._faults.values())  # a copy, because another thread may add a fault
-        if recent_faults := [f for at, f in faults if now - at <= FAULT_SHOWN_S]:
+        if recent_faults := [f for time_s, f in faults if now - time_s <= FAULT_SHOWN_S]:
             statuses.append(status_of(status_name(self, 'node'), recent_faults, '', ()))
         if self.metrics_file and self._metrics_due.due(now):
             try:
                 write_atomic(self.metrics_file, metrics_text(statuses))
             except AllanError as error:
                 self.get_logger().warning(str(error), throttle_duration_sec=60.0)
-        array = DiagnosticArray(status=statuses)
-        array.header.stamp = self.get_clock().now().to_msg()
-        self._diagnostics.publish(array)
+        message = DiagnosticArray(status=statuses)
+        message.header.stamp = self.get_clock().now().to_msg()
+        self._diagnostics.publish(message)

@@ -251,12 +251,12 @@ class ImuRelay(NodePart):
         self._measured_of: tuple[object, ...] = None, None
         # upper end of the 95 % interval of N, divided by the lower end; 1 without a horizon
         self._ratio = 1.0
-        overriding = QoSOverridingOptions.with_default_policies()
+        qos_options = QoSOverridingOptions.with_default_policies()
         self._publisher = node.create_publisher(
             Imu,
             f'{imu.topic}_with_covariance',
             QoSProfile(depth=QUEUE_DEPTH),
-            qos_overriding_options=overriding,
+            qos_overriding_options=qos_options,
         )
         self.tick(self._began)  # computes the covariances for the first message
         self._thread: threading.Thread | None = None

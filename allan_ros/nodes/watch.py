@@ -273,7 +273,7 @@ class Watch(Node):
 
     def _rows(self) -> list[StatusRow]:
         now = time.monotonic()
-        rows = [row(status, now - at) for at, status in self._latest.values()]
+        rows = [row(status, now - received_s) for received_s, status in self._latest.values()]
         if self._options.once and rows:
             message = 'runs, but publishes no status'
             silent_nodes = (name.strip('/') for name in self._missing())

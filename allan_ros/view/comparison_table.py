@@ -134,12 +134,16 @@ def runs_table(comparison: RunComparison, axes: Sequence[str], units: str) -> Ta
             texts = [f'{ratio_text(d)} {verdict_text(d)}'.strip() if d else '' for d in axis_checks]
             rows.append((Heading(''), [Cell(f'{run} ratio'), *map(Cell, texts)]))
     for run, checks in comparison.differences.items():
-        counts = [Cell(run)]
+        count_cells = [Cell(run)]
         for axis in axes:
-            tested = [d for d in checks if d.axis == axis and d.tau is not None]
-            n_different = len(significant_of(tested))
-            counts.append(Cell(f'{n_different} of {len(tested)} differ' if tested else ''))
-        rows.append((Heading('deviation'), counts))
+            tested_deviations = [d for d in checks if d.axis == axis and d.tau is not None]
+            n_different = len(significant_of(tested_deviations))
+            count_cells.append(
+                Cell(
+                    f'{n_different} of {len(tested_deviations)} differ' if tested_deviations else ''
+                )
+            )
+        rows.append((Heading('deviation'), count_cells))
     run_heading = Heading('', repeats=True)
     return Table(Heading(sensor), [run_heading, *(Heading(axis[-1]) for axis in axes)], rows)
 

@@ -53,13 +53,13 @@ def quantity_text(difference: Check) -> str:
 def _sentence(comparison: RunComparison, label: str, checks: Sequence[Check]) -> str:
     first_label, differing = comparison.first, significant_of(checks)
     if not differing:
-        terms = sum(d.tau is None and d.verdict == 'alike' for d in checks)
-        deviations = sum(d.tau is not None and d.verdict == 'alike' for d in checks)
-        if not terms + deviations:
+        n_terms = sum(d.tau is None and d.verdict == 'alike' for d in checks)
+        n_deviations = sum(d.tau is not None and d.verdict == 'alike' for d in checks)
+        if not n_terms + n_deviations:
             return f'{label} and {first_label} have no quantity that can be compared'
         return (
-            f'{label} and {first_label} do not differ significantly in {terms} coefficients '
-            f'and {deviations} deviations '
+            f'{label} and {first_label} do not differ significantly in {n_terms} coefficients '
+            f'and {n_deviations} deviations '
             f'({100.0 * comparison.family_error:g} % false alarms overall)'
         )
     # Coefficients take precedence over Allan deviations.

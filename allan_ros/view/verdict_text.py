@@ -113,8 +113,8 @@ def quality(results: Results) -> str:
         return f'Method {results.method} gives no intervals.'
     advice = results.time_to_record
     parts: list[str] = []
-    needs: list[str] = []
-    limits: list[str] = []
+    long_terms: list[str] = []
+    limited_terms: list[str] = []
     for term in ADVISED_TERMS:
         coefficients = [axis.fit.noise[term] for axis in results.axes.values()]
         widths = [
@@ -128,15 +128,17 @@ def quality(results: Results) -> str:
             else f' on {len(widths)} of {len(coefficients)} axes'
         )
         if axes_text and advice and term in advice[1]:
-            needs.append(term)
+            long_terms.append(term)
         elif widths:
             parts.append(f'{term} to {float(f"{100.0 * max(widths):.2g}"):g} %{axes_text}')
         else:
-            limits.append(term)
-    if advice and needs:
-        parts.append(f'{_joined(needs)} need{"s" * (len(needs) == 1)} {duration_text(advice[0])}')
-    if limits:
-        parts.append(f'only a limit of {_joined(limits)}')
+            limited_terms.append(term)
+    if advice and long_terms:
+        parts.append(
+            f'{_joined(long_terms)} need{"s" * (len(long_terms) == 1)} {duration_text(advice[0])}'
+        )
+    if limited_terms:
+        parts.append(f'only a limit of {_joined(limited_terms)}')
     text = ', '.join(parts)
     return f'{text[0].upper()}{text[1:]}.'
 

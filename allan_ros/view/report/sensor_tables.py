@@ -118,10 +118,10 @@ def datasheet_html(axes: Axes, sheet: Datasheet, comparisons: Sequence[Check]) -
         notes += [f'{term}: {note}' for note in distinct_notes]
     notes.append('; '.join(str(source) for source in sheet.sources.values()))
     if stated_texts:
-        noise, limits_of = _noise(axes), stated_limits(stated_texts)
+        noise, limit_texts = _noise(axes), stated_limits(stated_texts)
         yield _scrolled(
             'comparison',
-            lambda units: limit_table(noise, comparisons, units, limits_of),
+            lambda units: limit_table(noise, comparisons, units, limit_texts),
         )
         yield from map(note_html, notes)
 
