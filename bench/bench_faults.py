@@ -31,8 +31,8 @@ from allan_ros.core.estimate import Estimate
 from allan_ros.core.findings import Finding, finding
 from allan_ros.core.fit.stationary import fit_stationary
 from allan_ros.core.imu import AXES, STANDARD_GRAVITY, ImuBatch
-from allan_ros.core.stream.health import Accumulation, StreamHealth
-from allan_ros.core.stream.pipeline import ImuStream
+from allan_ros.core.stream.health import StreamHealth
+from allan_ros.core.stream.pipeline import Accumulation, ImuStream
 from allan_ros.core.stream.present_faults import noise_now
 from allan_ros.core.stream.transport import (
     Arrivals,

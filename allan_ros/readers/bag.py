@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     Storage: TypeAlias = 'McapStorage | Sqlite3Storage | Ros1Storage'
 
 
-Key = tuple[str, str]
+TopicKey = tuple[str, str]
 """Topic name and type, which identify a topic in all files of a bag."""
 
 
@@ -52,11 +52,11 @@ Key = tuple[str, str]
 class Survey:
     """The topics of a bag, and the number of messages of each topic."""
 
-    topics: dict[Key, Topic] = field(default_factory=dict)
-    counts: Counter[Key] = field(default_factory=Counter)
+    topics: dict[TopicKey, Topic] = field(default_factory=dict)
+    counts: Counter[TopicKey] = field(default_factory=Counter)
     truncation: Truncation | None = None  # truncation of the first truncated file
 
-    def listed(self, keys: Iterable[Key]) -> str:
+    def listed(self, keys: Iterable[TopicKey]) -> str:
         """Return the name, type and number of messages of these topics, as text.
 
         If there are more than `columns.MOST_LISTED` topics, the others are counted.
@@ -68,7 +68,7 @@ class Survey:
             shown.append(f'{key[0]} ({key[1]}, {self.counts[key]}{unsupported})')
         return listed(shown)
 
-    def imus(self) -> list[Key]:
+    def imus(self) -> list[TopicKey]:
         """Return the Imu topics that have messages, or all Imu topics if none has messages."""
         imus = [key for key in self.topics if key[1] == IMU_TYPE]
         return [key for key in imus if self.counts[key]] or imus
@@ -138,7 +138,7 @@ class Bag:
         self.storage(self.files[0])
         if any(key[1] == IMU_TYPE and count for key, count in survey.counts.items()):
             return survey
-        counted: Counter[Key] = Counter()
+        counted: Counter[TopicKey] = Counter()
         for file in self.files:
             storage = self.storage(file)
             counts = storage.counts()

@@ -21,7 +21,7 @@ from ..core.errors import AllanError
 from ..core.findings import finding
 from ..core.imu import AXES, SENSORS, ImuBatch, joined
 from ..core.stream.signal import Decimated, TemperatureTrace, trace_of
-from .bag import ENCODINGS, Bag, Key, Survey, bag_of
+from .bag import ENCODINGS, Bag, Survey, TopicKey, bag_of
 from .bag_messages import Messages, Payloads, Topic, among, decompress, frame_compression
 from .cdr import IMU_TYPE, Encoding, MalformedMessage, decode_imus, decode_temperature
 from .columns import listed
@@ -55,7 +55,7 @@ def imu_topics(path: Path) -> list[str]:
     bag has more than `MAX_TOPICS` Imu topics. Raises AllanError when the bag cannot be read.
     """
     bag = bag_of(path)
-    imu_keys: dict[Key, None] = {}
+    imu_keys: dict[TopicKey, None] = {}
     for file in bag.files if bag.described is None else ():
         topics = bag.storage(file).topics
         imu_keys |= {(t.name, t.type): None for t in topics if t.type == IMU_TYPE}
@@ -113,7 +113,7 @@ def no_message(path: Path, name: str) -> AllanError:
     )
 
 
-def _named(path: Path, survey: Survey, wanted: str) -> Key:
+def _named(path: Path, survey: Survey, wanted: str) -> TopicKey:
     """Return the Imu topic with the name ``wanted``, with or without a leading slash."""
     topic_keys = [key for key in survey.topics if key[0].lstrip('/') == wanted.lstrip('/')]
     imu_keys = [key for key in survey.topics if key[1] == IMU_TYPE]

@@ -9,16 +9,13 @@ from collections.abc import Collection, Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..core.estimate import RESOLVED_HALF_WIDTHS, prefixed, significant, value_text
 from ..core.fit.result import Deviation, TemperatureModel
-from ..core.imu import ShownUnit, shown_unit
+from ..core.imu import Flags, Floats, ShownUnit, shown_unit
 
 if TYPE_CHECKING:
     from ..results.axis_result import AxisResult
-
-Floats = NDArray[np.float64]
 
 SENSOR_NAMES = {'gyro': 'Gyroscope', 'accel': 'Accelerometer'}
 """Sensor -> name of the sensor in headings."""
@@ -149,7 +146,7 @@ class DrawnCurve(NamedTuple):
     adev: Floats
     low: Floats  # 68.3 % confidence limits
     high: Floats
-    uncertain: NDArray[np.bool_]  # whether a point is too uncertain to be compared with the model
+    uncertain: Flags  # whether a point is too uncertain to be compared with the model
     model: Floats
     upper: Floats  # model with unresolved terms at their upper limits
     parts: dict[str, Floats]  # name of a part of the model -> deviation of this part

@@ -30,7 +30,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-Floats = NDArray[np.float64]
+from ..imu import Floats
 
 EARTH_RATE = 7.292115e-5
 """Rotation rate of the Earth in rad/s (WGS 84). Its direction relative to the sensor is unknown."""

@@ -12,15 +12,12 @@ from dataclasses import dataclass, field, fields
 from typing import Any, Generic, Literal, NamedTuple, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..allan.sums import AllanSums
 from ..fields import SignedInt
 from ..findings import Finding, finding
-from ..imu import AXES, NANOSECONDS, SAMPLE_UNITS, SENSORS, STANDARD_GRAVITY, UNITS, sensor_of
+from ..imu import AXES, SAMPLE_UNITS, SENSORS, STANDARD_GRAVITY, UNITS, Floats, Stamps, sensor_of
 from ..settings import SegmenterSettings
-
-Floats = NDArray[np.float64]
 
 State = Literal['waiting', 'learning', 'at_rest', 'moving', 'noise_increased', 'noise_decreased']
 """'waiting': no sample yet. 'learning': sample rate and noise floor are not known yet. 'at_rest':
@@ -220,25 +217,6 @@ class StreamHealth:
         return c.used / classified if classified else None
 
 
-@dataclass(frozen=True)
-class Accumulation:
-    """Results of a stream: Allan sums, health, findings and segments.
-
-    ``sums`` has one entry for all axes, or one per sensor if their rates differ. A sensor without
-    data has no entry. If the sample rate or the frame_id changed, only the sums with the longest
-    elapsed time are included. ``segments`` are the segments of the first entry of ``sums``.
-    """
-
-    sums: tuple[AllanSums, ...]
-    health: StreamHealth
-    findings: tuple[Finding, ...]
-    segments: tuple[Segment, ...]
-
-
-KEPT_MEANS = 120
-"""Largest number of one-second means that are kept until they are read; older means are removed."""
-
-
 class Means(NamedTuple):
     """One-second means of static data for the axes of one sensor stream.
 
@@ -247,49 +225,8 @@ class Means(NamedTuple):
     """
 
     axes: tuple[str, ...]
-    end_ns: NDArray[np.int64]
+    end_ns: Stamps
     values: Floats
-
-
-class RunningMeans:
-    """Computes means over consecutive seconds of samples without a gap."""
-
-    def __init__(self, axes: tuple[str, ...]) -> None:
-        self.means = Means(axes, np.empty(0, np.int64), np.empty((0, len(axes))))
-        """The latest `KEPT_MEANS` complete means."""
-        self.cut()
-
-    def cut(self) -> None:
-        """Remove the incomplete mean, because a gap follows."""
-        self._start_ns: int | None = None
-        self._second = 0  # index of the incomplete second, counted from `_start_ns`
-        self._open: list[Floats] = []  # samples of the incomplete second
-
-    def update(self, stamps: NDArray[np.int64], rows: Floats) -> None:
-        """Add samples without a gap: increasing stamps, (n,), in ns, and values, (axes, n)."""
-        if self._start_ns is None:
-            self._start_ns = int(stamps[0])
-        last_second = int(stamps[-1] - self._start_ns) // NANOSECONDS
-        if last_second > self._second:
-            end_ns = self._start_ns + np.arange(self._second + 1, last_second + 1) * NANOSECONDS
-            ends = np.searchsorted(stamps, end_ns)
-            first_rows = np.concatenate([*self._open, rows[:, : ends[0]]], axis=1)
-            # each second is summed at once, so that the rounding does not depend on the batches
-            sums, counts = np.add.reduceat(first_rows, [0], axis=1), np.array([first_rows.shape[1]])
-            seconds = np.flatnonzero(np.diff(ends))  # seconds with samples, after the first second
-            if len(seconds):
-                later_sums = np.add.reduceat(rows[:, : ends[-1]], ends[seconds], axis=1)
-                sums = np.concatenate([sums, later_sums], axis=1)
-                counts = np.concatenate([counts, np.diff(ends)[seconds]])
-            self._keep(np.concatenate([end_ns[:1], end_ns[seconds + 1]]), (sums / counts).T)
-            self._second, self._open = last_second, []
-            rows = rows[:, ends[-1] :]
-        self._open.append(rows.copy())
-
-    def _keep(self, end_ns: NDArray[np.int64], values: Floats) -> None:
-        axes, *former = self.means
-        end_ns, values = (np.concatenate(a)[-KEPT_MEANS:] for a in zip(former, (end_ns, values)))
-        self.means = Means(axes, end_ns, values)
 
 
 def events(health: StreamHealth) -> Counter[str]:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -20,7 +21,7 @@ from ..imu import AXES, LARGEST, Floats, ImuBatch, ImuIdentity, Stamps, joined
 from ..settings import SegmenterSettings
 from .cleaning import CoveredTime, StampChoice, StampSorter, are_ordered
 from .drive_recorder import NO_DRIVES, Drives
-from .health import Accumulation, Counts, Means, State, StreamHealth, stream_findings
+from .health import Counts, Means, Segment, State, StreamHealth, stream_findings
 from .noise_levels import StreamSums
 from .sensor_stream import SensorStream
 from .sensors import plan_sensors
@@ -55,6 +56,21 @@ class Present(NamedTuple):
     state: State
     faults: tuple[Finding, ...]
     noise: dict[str, float]
+
+
+@dataclass(frozen=True)
+class Accumulation:
+    """Results of a stream: Allan sums, health, findings and segments.
+
+    ``sums`` has one entry for all axes, or one per sensor if their rates differ. A sensor without
+    data has no entry. If the sample rate or the frame_id changed, only the sums with the longest
+    elapsed time are included. ``segments`` are the segments of the first entry of ``sums``.
+    """
+
+    sums: tuple[AllanSums, ...]
+    health: StreamHealth
+    findings: tuple[Finding, ...]
+    segments: tuple[Segment, ...]
 
 
 class ImuStream:

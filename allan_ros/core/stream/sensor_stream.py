@@ -9,8 +9,10 @@ from dataclasses import replace
 from functools import partial
 from heapq import nlargest
 
+import numpy as np
+
 from ..errors import AllanError
-from ..imu import AXES, ImuBatch, ImuIdentity
+from ..imu import AXES, NANOSECONDS, Floats, ImuBatch, ImuIdentity, Stamps
 from ..settings import SegmenterSettings
 from .cleaning import RepeatFilter, SampleFilter
 from .drive_recorder import DriveRecorder
@@ -22,7 +24,6 @@ from .health import (
     Event,
     Longest,
     Means,
-    RunningMeans,
     State,
 )
 from .motion import MotionGate
@@ -34,6 +35,51 @@ LARGE_RATE_CHANGE = 0.1
 """After a possible change of the rate, the mean step of the first stamps is compared with the
 former period. If the relative difference exceeds this value, the rate has changed. A smaller
 difference may be due to bursts, and is judged when the new period is learned."""
+
+
+KEPT_MEANS = 120
+"""Largest number of one-second means that are kept until they are read; older means are removed."""
+
+
+class RunningMeans:
+    """Computes means over consecutive seconds of samples without a gap."""
+
+    def __init__(self, axes: tuple[str, ...]) -> None:
+        self.means = Means(axes, np.empty(0, np.int64), np.empty((0, len(axes))))
+        """The latest `KEPT_MEANS` complete means."""
+        self.cut()
+
+    def cut(self) -> None:
+        """Remove the incomplete mean, because a gap follows."""
+        self._start_ns: int | None = None
+        self._second = 0  # index of the incomplete second, counted from `_start_ns`
+        self._open: list[Floats] = []  # samples of the incomplete second
+
+    def update(self, stamps: Stamps, rows: Floats) -> None:
+        """Add samples without a gap: increasing stamps, (n,), in ns, and values, (axes, n)."""
+        if self._start_ns is None:
+            self._start_ns = int(stamps[0])
+        last_second = int(stamps[-1] - self._start_ns) // NANOSECONDS
+        if last_second > self._second:
+            end_ns = self._start_ns + np.arange(self._second + 1, last_second + 1) * NANOSECONDS
+            ends = np.searchsorted(stamps, end_ns)
+            first_rows = np.concatenate([*self._open, rows[:, : ends[0]]], axis=1)
+            # each second is summed at once, so that the rounding does not depend on the batches
+            sums, counts = np.add.reduceat(first_rows, [0], axis=1), np.array([first_rows.shape[1]])
+            seconds = np.flatnonzero(np.diff(ends))  # seconds with samples, after the first second
+            if len(seconds):
+                later_sums = np.add.reduceat(rows[:, : ends[-1]], ends[seconds], axis=1)
+                sums = np.concatenate([sums, later_sums], axis=1)
+                counts = np.concatenate([counts, np.diff(ends)[seconds]])
+            self._keep(np.concatenate([end_ns[:1], end_ns[seconds + 1]]), (sums / counts).T)
+            self._second, self._open = last_second, []
+            rows = rows[:, ends[-1] :]
+        self._open.append(rows.copy())
+
+    def _keep(self, end_ns: Stamps, values: Floats) -> None:
+        axes, *former = self.means
+        end_ns, values = (np.concatenate(a)[-KEPT_MEANS:] for a in zip(former, (end_ns, values)))
+        self.means = Means(axes, end_ns, values)
 
 
 class SensorStream:

@@ -15,12 +15,9 @@ from dataclasses import dataclass
 from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..imu import AXES, LARGEST, ImuBatch
+from ..imu import AXES, LARGEST, Flags, Floats, ImuBatch, Stamps
 from .health import Event, Segment
-
-Floats = NDArray[np.float64]
 
 MAX_BINS = 2048
 """Largest number of bins, which exceeds the width of a chart in pixels. When all bins are full,
@@ -94,17 +91,17 @@ class SignalEnvelope:
         }
 
     @property
-    def start_ns(self) -> NDArray[np.int64]:
+    def start_ns(self) -> Stamps:
         """Stamp of the first sample of each bin, (bins,), in ns.
 
         It is the header stamp, or the record time if the header stamps of all bins are equal.
         """
         header, record = self._start_ns[: self.bins].T
-        stamps: NDArray[np.int64] = header if np.ptp(header) > 0 else record
+        stamps: Stamps = header if np.ptp(header) > 0 else record
         return stamps
 
     @property
-    def time_s(self) -> NDArray[np.float64]:
+    def time_s(self) -> Floats:
         """Start of each bin, (bins,), in s since the first sample; the starts never decrease."""
         stamps = self.start_ns.astype(float)  # int64 may overflow when subtracted
         return np.asarray(np.maximum.accumulate((stamps - stamps[:1]) * 1e-9), float)
@@ -158,8 +155,8 @@ class TemperatureTrace:
     """Temperature readings of one sensor in a recording."""
 
     source: str  # topic or column of the readings
-    header_ns: NDArray[np.int64]  # (n,) times of measurement
-    record_ns: NDArray[np.int64]  # (n,) times of recording; equal to header_ns if unknown
+    header_ns: Stamps  # (n,) times of measurement
+    record_ns: Stamps  # (n,) times of recording; equal to header_ns if unknown
     celsius: Floats  # (n,) temperatures in degC
 
 
@@ -249,7 +246,7 @@ class SignalSummary:
 
     # (bins, 6) standard deviation of the differences of successive samples / sqrt(2), in SI
     noise: Floats
-    used: NDArray[np.bool_]  # (bins,) whether all samples of the bin are used
+    used: Flags  # (bins,) whether all samples of the bin are used
     middle: Floats  # (6,) median over the bins of (low + high) / 2, in SI
     excluded: tuple[Excluded, ...]
     gaps: tuple[tuple[float, float], ...]  # (start, end) in s of times without samples

@@ -10,12 +10,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ...core.allan.curve import Spectrum, noise_density
 from ...core.fit.result import TERMS, TemperatureModel
 from ...core.fit.statistics import expected_power
-from ...core.imu import AXES, SENSORS, shown_unit
+from ...core.imu import AXES, SENSORS, Floats, shown_unit
 from ...core.noise import Model
 from ...core.settings import UNIT_SYSTEMS
 from ...core.stream.signal import SignalSummary
@@ -25,7 +25,6 @@ from ..format import SENSOR_NAMES, drawn_curve, pretty_unit, temperature_text
 if TYPE_CHECKING:
     from ...results.results import Results
 
-Floats = NDArray[np.float64]
 
 MEANS = 128
 """Largest number of points in a chart of the bias or the noise over time of a single recording.

@@ -22,13 +22,11 @@ from ..coefficient_table import Coefficients, coefficient_table
 from ..comparison_table import baseline_table, limit_table, stated_limits
 from ..finding_text import explained
 from ..format import pretty_unit
-from ..model_table import filter_table, growth_table, parts_table, size_cell
+from ..model_table import Axes, filter_table, growth_table, parts_table, size_cell
 from ..table import Cell, Heading, Table, html_table, in_units, note_html
 
 if TYPE_CHECKING:
     from ...results.results import Results
-
-Axes = Mapping[str, AxisResult]
 
 
 def headline_html(axes: Axes) -> str:

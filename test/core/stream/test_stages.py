@@ -14,8 +14,8 @@ from allan_ros.core.stream.cleaning import (
     CoveredTime,
     RepeatFilter,
 )
-from allan_ros.core.stream.health import KEPT_MEANS, RunningMeans
 from allan_ros.core.stream.pipeline import ImuStream
+from allan_ros.core.stream.sensor_stream import KEPT_MEANS, RunningMeans
 from allan_ros.core.stream.sensors import _line_variance, are_interleaved
 
 
