@@ -131,9 +131,9 @@ class ImuStream:
     def samples(self) -> dict[str, tuple[Stamps, Floats]]:
         """Return axis -> stamps in ns and values of all samples at rest, (n,) each, after `end`.
 
-        The samples have the frame_id with the most data, follow the last change of its rate, and
-        belong to the noise level that is the result. The result is empty unless ``with_samples``
-        was set.
+        The samples have the frame_id with the most data, come after the last change of the rate,
+        and belong to the noise level that is the result. The result is empty unless
+        ``with_samples`` was set.
         """
         most_used = max(
             self._frames.values(), key=lambda each: each.counts.used, default=self._present

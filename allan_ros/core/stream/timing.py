@@ -70,8 +70,9 @@ step by at most the second fraction of the median step, and if almost all other 
 `POLLED_SHARE`) are longer than `LATE` median steps."""
 
 UNEVEN = 2.0
-"""If the mean steps, each over a run and the pause before it, differ by more than this factor, the
-samples are not late. Late samples have the same mean step in each burst."""
+"""The mean step over a run and the pause before it is computed for each run. If these mean steps
+differ by more than this factor, the samples are not late. Late samples have the same mean step in
+each burst."""
 
 DECLARED_RANGE = 0.25
 """The declared rate is used for bursty stamps if the mean rate differs from it by less than this
