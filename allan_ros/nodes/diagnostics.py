@@ -46,7 +46,10 @@ key ``finding: <id>`` has the text of a finding as its value. This text begins w
 
 
 def status_name(node: Node, *words: str) -> str:
-    """Return ``<namespace>/<node>: <words>`` with control characters escaped."""
+    """Return ``<namespace>/<node>: <words>`` without a leading slash.
+
+    Control characters are escaped, and empty words are omitted.
+    """
     return one_line(
         f'{node.get_fully_qualified_name().strip("/")}: {" ".join(w for w in words if w)}'
     )

@@ -345,7 +345,7 @@ class ImuInput:
         self._loss = None
 
     def _collect(self, payload: bytes, info: dict[str, Any] | None = None) -> None:
-        """Store one message, and count the messages that are missing before it."""
+        """Store one message; if messages are numbered, count the missing messages before it."""
         buffer = self._buffer
         buffer.payloads.append(payload)
         buffer.size += len(payload) + MESSAGE_BYTES

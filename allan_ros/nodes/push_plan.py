@@ -67,7 +67,7 @@ class PushPlan:
 def load_plan(name: str) -> PushPlan:
     """Read a plan, given its name in ``config/filters`` or the path of its .yaml file.
 
-    Raises AllanError if the name is unknown or the file is invalid.
+    Raises AllanError if the name is unknown, or the file is invalid or cannot be read.
     """
     path = config_file('filters', name, 'plan for push.filter')
     fields = Fields(read_yaml(path), str(path))

@@ -82,8 +82,9 @@ RECEIVED, FILLED, PASSED, MALFORMED, UNPUBLISHED = COUNTS = (
 def relay_variances(results: Results, settings: RelaySettings, rate: float) -> dict[str, Variances]:
     """Return sensor -> variances of one sample of x, y and z, in (rad/s)^2 or (m/s^2)^2.
 
-    ``rate`` is the sample rate in Hz. The variances do not cover the bias. A sensor is absent if
-    the variance of one of its axes is unknown.
+    ``rate`` is the sample rate in Hz. The variances contain the factor ``relay.inflate``, and cover
+    the drift over ``relay.horizon``, but not the bias. A sensor is absent if the variance of one of
+    its axes is unknown.
     """
     fits = {name: axis.fit for name, axis in results.axes.items()}
     return white_variances(fits, rate, settings.inflate, settings.horizon)
@@ -118,8 +119,8 @@ def in_motion(variances: dict[str, Variances], results: Results) -> dict[str, Va
     """Return the variances, multiplied by the squared factor in motion of each sensor.
 
     The factor in motion is the error in motion divided by its prediction from the noise at rest. A
-    factor below 1 is taken as 1. If no factors are known, or while the IMU is at rest, the
-    variances are returned unchanged.
+    factor below 1 is taken as 1. If no factors are known, or no finding in ``results`` states that
+    the IMU moves at present, the variances are returned unchanged.
     """
     motion = results.motion
     if motion is None or not any(f.id == 'moving_now' for f in results.findings):

@@ -137,12 +137,8 @@ def runs_table(comparison: RunComparison, axes: Sequence[str], units: str) -> Ta
         count_cells = [Cell(run)]
         for axis in axes:
             tested_deviations = [d for d in checks if d.axis == axis and d.tau is not None]
-            n_different = len(significant_of(tested_deviations))
-            count_cells.append(
-                Cell(
-                    f'{n_different} of {len(tested_deviations)} differ' if tested_deviations else ''
-                )
-            )
+            n_different, n_tested = len(significant_of(tested_deviations)), len(tested_deviations)
+            count_cells.append(Cell(f'{n_different} of {n_tested} differ' if n_tested else ''))
         rows.append((Heading('deviation'), count_cells))
     run_heading = Heading('', repeats=True)
     return Table(Heading(sensor), [run_heading, *(Heading(axis[-1]) for axis in axes)], rows)

@@ -117,8 +117,8 @@ def growth_table(axes: Axes, units: str) -> Table:
 def size_cell(known: Estimate, factor: float) -> Cell:
     """Return a cell with a standard deviation (SI) and its 95 % interval, times ``factor``.
 
-    If the interval begins at 0, only its upper end is stated. If this end is 0 or unknown, the text
-    is `NOTHING_KNOWN`.
+    If the interval begins at 0, only its upper end is stated. Without an interval, only the
+    standard deviation is stated. If nothing above 0 is known, the text is `NOTHING_KNOWN`.
     """
     size = known.value or 0.0
     low, high = known.ci95 or (size, size)
