@@ -162,8 +162,8 @@ def fit_and_write(
     Raises
     ------
     AllanError
-        When there are too few data, a datasheet or an earlier run cannot be read, the folder has
-        results of another recording, or a file cannot be written.
+        When there are too few data, a datasheet or an earlier run cannot be read, or the files
+        cannot be written, for example because the folder has results of another recording.
     """
     settings = settings_of(ResultSettings, args)
     rest_results = load(settings.noise) if settings.noise else None

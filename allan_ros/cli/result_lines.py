@@ -246,8 +246,9 @@ def _deviation(results: Results, axis: str) -> str:
 def comparison_lines(comparison: RunComparison, units: str, columns: int) -> Iterator[str]:
     """Yield a comparison of recordings as lines of text.
 
-    The lines are sentences, a table for each sensor, and the comparisons with datasheets.
-    ``units`` is 'deg/h' or 'SI', and ``columns`` is the width of the text.
+    The lines are sentences, a table for each sensor, and the comparisons with datasheets and with
+    measured values of other IMUs of the same type. ``units`` is 'deg/h' or 'SI', and ``columns`` is
+    the width of the text in characters.
     """
     for sentence in sentences(comparison):
         yield from wrapped(sentence, columns, '  ')
