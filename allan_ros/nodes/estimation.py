@@ -39,6 +39,7 @@ from .diagnostics import (
     AxisView,
     axis_status,
     key_values,
+    motion_status,
     status_name,
     status_of,
 )
@@ -51,7 +52,6 @@ from .messages import (
     replaced_because,
     replaced_share,
 )
-from .motion_diagnostics import motion_status
 from .node import AllanNode, NodePart
 from .node_settings import EstimatorSettings, home_of
 from .shell import LATCHED, Worker
