@@ -303,13 +303,14 @@ def fit(
 ) -> AxisResult:
     """Fit the noise coefficients to an Allan deviation curve, for example from another program.
 
-    `analyze` gives better intervals, because it computes the covariance of the points from the
-    samples.
+    R is not fitted. `analyze` gives better intervals, because it computes the covariance of the
+    points from the samples.
 
     Parameters
     ----------
     curve : AxisCurve or (tau, adev)
-        Averaging times in s and Allan deviations in SI.
+        Averaging times in s and Allan deviations in SI. Points whose deviation is not a positive
+        number are ignored.
     axis : str
         The axis of the curve, such as 'gyro_z', which determines the units of the coefficients.
     record : float, optional
@@ -357,5 +358,7 @@ def fit(
         curve = AxisCurve(m, tau, counts, deviation, unknown_limits, unknown_limits)
     elif curve.adev.ndim != 1:
         raise AllanError('the curve has several columns: fit each column separately')
+    elif not len(curve.tau):
+        raise AllanError('the curve has no points: record longer')
     tau0 = float(curve.tau[0] / curve.m[0])
     return AxisResult(tau0, fit_curve(curve.tau, curve.adev, record), curve, name=axis)

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import allan_ros as ar
+from allan_ros.core.allan.curve import AxisCurve
 from allan_ros.core.settings import choose, expect
 from allan_ros.readers.files import PATH
 
@@ -103,6 +104,7 @@ CALLS = [
     (lambda r: ar.analyze(object(), rate=9), 'not numbers'),
     (lambda r: ar.analyze('nowhere.mcap'), 'no such file'),
     (lambda r: ar.fit(ar.adev(np.ones((9, 2)))), 'the curve has several columns'),
+    (lambda r: ar.fit(AxisCurve(*[np.zeros(0)] * 6)), 'the curve has no points'),
     (lambda r: ar.fit(([0.0, 1.0], [1.0, 1.0])), 'give two lists of equal length'),
     (lambda r: ar.simulate(preset='nope'), 'preset'),
     (lambda r: ar.simulate(low_pas=3.0), 'use low_pass'),

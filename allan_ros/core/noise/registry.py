@@ -39,7 +39,7 @@ RANDOM_TERMS: tuple[Process, ...] = tuple(
     for one in PROCESSES.values()
     if one.letter and not one.parameters and not one.is_regressor
 )
-"""The random terms Q, N, B and K, with which every fit begins."""
+"""The random terms of IEEE Std 952-1997: Q, N, B and K."""
 
 SEARCHED: tuple[type[Process], ...] = tuple(
     one
