@@ -98,12 +98,12 @@ class SumsOutput:
 class ImuWatch(NodePart):
     """Accumulates the Allan sums of one IMU; a restarted node continues the sums in the checkpoint.
 
-    ``output`` publishes the sums periodically, for each new subscriber, and when the sums are
-    saved, reset or replaced, the first means at rest are known, or the frame_id, axes or faults of
-    the input change. ``sensor`` is the only sensor that is used, or '' for both sensors. ``accel``
-    is the `ImuWatch` of an accelerometer with its own topic. If ``accel`` is given, ``output``
-    publishes the sums of both sensors whenever the sums of one sensor are due, and the services
-    reset or save the sums of both.
+    ``output`` publishes the sums periodically and for each new subscriber. It also publishes them
+    when they are saved, reset or replaced, when the first means at rest are known, and when the
+    frame_id, axes or faults of the input change. ``sensor`` is the only sensor that is used, or ''
+    for both sensors. ``accel`` is the `ImuWatch` of an accelerometer with its own topic. If
+    ``accel`` is given, ``output`` publishes the sums of both sensors whenever the sums of one
+    sensor are due, and the services reset or save the sums of both.
     """
 
     def __init__(

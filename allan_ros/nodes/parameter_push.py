@@ -57,7 +57,8 @@ from .node_settings import SETTLED_RATIO, PushSettings
 from .push_plan import GAINS_WAIT, Numbers, Proposal, PushPlan, load_plan, text_of
 
 ANSWER_S = 5.0
-"""Longest time in s to wait for an answer of the other node; the next update then tries again."""
+"""Longest time in s to wait for an answer of the other node. Without an answer, the next update
+tries again."""
 
 RETRY_S = 1.0
 """Period in s at which an update is tried again, until there are values to set and the other node
