@@ -33,7 +33,7 @@ from .shell import STEADY_CLOCK
 
 T = TypeVar('T', bound=CheckedSettings)
 
-TICK_S = 0.1
+TICK_S = 0.25
 """Period in s of the timer that polls the parts of a node."""
 
 METRICS_S = 5.0

@@ -17,6 +17,7 @@ source are not used.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -68,15 +69,27 @@ def edf(noise_type: int, m: int, stride: int, counts: ArrayLike, number: ArrayLi
     segments, counts = segments[counts > 0], counts[counts > 0]
     if not len(counts):
         return float('nan')
-    # a pair of differences at lag j occurs M - |j| times, so sums of rho^2 and |j| rho^2 are needed
-    lags = np.arange(1, min(int(counts.max()), LONGEST_LAG * m // stride + 1))
-    squares = correlation(noise_type, m, stride * lags) ** 2
-    sum_squares = np.concatenate([[1.0], 1.0 + 2.0 * np.cumsum(squares)])
-    sum_lag_squares = np.concatenate([[0.0], 2.0 * np.cumsum(lags * squares)])
+    lags = min(int(counts.max()) - 1, LONGEST_LAG * m // stride)
+    sum_squares, sum_lag_squares = _correlation_sums(noise_type, m, stride, lags)
     last_lag = np.minimum(counts, len(sum_squares)) - 1
     variance = np.sum(segments * (counts * sum_squares[last_lag] - sum_lag_squares[last_lag]))
     # float, because the square of a count above 3e9 overflows int64
     return float(np.sum(segments * counts)) ** 2 / float(variance)
+
+
+@lru_cache(maxsize=1024)
+def _correlation_sums(noise_type: int, m: int, stride: int, lags: int) -> tuple[Floats, Floats]:
+    """Return the sums of rho^2 and of |j| rho^2 over all lags j up to each lag, (lags + 1,) each.
+
+    rho is the correlation of two second differences whose starts are ``stride * j`` samples apart.
+    A pair of differences at lag j occurs M - |j| times among M differences, so that the variance of
+    their sum of squares needs both sums.
+    """
+    lag = np.arange(1, lags + 1)
+    squares = correlation(noise_type, m, stride * lag) ** 2
+    sum_squares = np.concatenate([[1.0], 1.0 + 2.0 * np.cumsum(squares)])
+    sum_lag_squares = np.concatenate([[0.0], 2.0 * np.cumsum(lag * squares)])
+    return sum_squares, sum_lag_squares
 
 
 def correlation(noise_type: int, m: int, lags: ArrayLike) -> Floats:

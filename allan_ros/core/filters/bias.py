@@ -96,6 +96,9 @@ class BiasFilter:
         self._space = replace(space, slope=bool(model.slope_std))
         self._slope_std = model.slope_std
         self._phi, self._noise = self._space.transition(MEAN_S), self._space.noise(MEAN_S)
+        self._weights_ahead = self._space.transition(AHEAD_S)[0, 1:] / AHEAD_S
+        noise_ahead = self._space.noise(AHEAD_S)[0, 0] - self._space.white**2 * AHEAD_S
+        self._variance_ahead = noise_ahead / AHEAD_S**2
         self._has_mean = False  # whether a mean has been added
         self._state = np.zeros(self._space.size)
         self._covariance = np.zeros((self._space.size, self._space.size))
@@ -151,9 +154,8 @@ class BiasFilter:
         """
         if not self._has_mean:
             raise AllanError('the bias is not known: keep the sensor at rest for a second')
-        weights = self._space.transition(AHEAD_S)[0, 1:] / AHEAD_S
-        added_variance = self._space.noise(AHEAD_S)[0, 0] - self._space.white**2 * AHEAD_S
-        variance = weights @ self._covariance[1:, 1:] @ weights + added_variance / AHEAD_S**2
+        weights = self._weights_ahead
+        variance = weights @ self._covariance[1:, 1:] @ weights + self._variance_ahead
         return Estimate.normal(
             float(weights @ self._state[1:]), math.sqrt(max(float(variance), 0.0))
         )

@@ -402,14 +402,11 @@ def _equal_axes(sums: AllanSums) -> list[Finding]:
     """
     if not len(sums.sum_sq):
         return []
-    equal_pairs = [
-        (i, j)
-        for j in range(len(sums.axes))
-        for i in range(j)
-        if sums.sum_sq[0, i] > 0.0
-        and np.allclose(sums.sum_sq[:, i], sums.sum_sq[:, j], SAME_SUMS, 0.0)
-    ]
-    return [finding('axes_equal', (sums.axes[i], sums.axes[j])) for i, j in equal_pairs]
+    first, second = sums.sum_sq[:, :, None], sums.sum_sq[:, None, :]
+    are_equal = (np.abs(first - second) <= SAME_SUMS * np.abs(second)).all(axis=0)
+    are_equal &= sums.sum_sq[0, :, None] > 0.0
+    equal_pairs = np.argwhere(np.tril(are_equal.T, -1)).tolist()
+    return [finding('axes_equal', (sums.axes[i], sums.axes[j])) for j, i in equal_pairs]
 
 
 def unit_findings(sums: AllanSums) -> list[Finding]:

@@ -117,18 +117,34 @@ class Arrivals:
         lost before and between these n messages.
         """
         lost, self._lost = self._statistics.lost - self._lost, self._statistics.lost
-        if self._latest is None and len(stamps_ns):
+        if not len(stamps_ns):
+            return
+        if self._latest is None:
             self._origin_ns = int(stamps_ns[0])
         stamps = (stamps_ns - self._origin_ns) / NANOSECONDS
-        for stamp, received in zip(stamps.tolist(), received_s.tolist()):
-            latest = stamp if self._latest is None else self._latest[0]
-            if stamp - latest > STEP_S:
-                self._judge(stamp, received, lost)
-            self._offsets.append((received, stamp - received))
-            while self._offsets[0][0] < received - ENVELOPE_S:
-                self._offsets.popleft()
-            was_set_back = stamp < latest - STEP_S
-            self._latest = stamp if was_set_back else max(stamp, latest), received
+        latest = 0.0 if self._latest is None else self._latest[0]
+        former = np.append(latest, stamps[:-1])
+        difference = np.maximum(
+            np.abs(stamps - former), np.abs(stamps - np.maximum.accumulate(former))
+        )
+        starts = np.flatnonzero(difference > STEP_S)
+        for part in np.split(np.arange(len(stamps)), starts):
+            if len(part):
+                self._add(stamps[part], received_s[part], lost)
+
+    def _add(self, stamps: NDArray[np.float64], received_s: NDArray[np.float64], lost: int) -> None:
+        """Process messages with stamps in s, of which only the first can follow a step."""
+        first, last_received = float(stamps[0]), float(received_s[-1])
+        latest = first if self._latest is None else self._latest[0]
+        if first - latest > STEP_S:
+            self._judge(first, float(received_s[0]), lost)
+        self._offsets.extend(zip(received_s.tolist(), (stamps - received_s).tolist()))
+        oldest_s = float(received_s.max()) - ENVELOPE_S
+        while self._offsets[0][0] < oldest_s:
+            self._offsets.popleft()
+        was_set_back = first < latest - STEP_S
+        largest = float(stamps.max())
+        self._latest = largest if was_set_back else max(largest, latest), last_received
 
     def _judge(self, stamp: float, received_s: float, lost: int) -> None:
         """Count the interruption or the step of the clock that explains a gap in the stamps."""
