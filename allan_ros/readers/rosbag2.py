@@ -164,15 +164,15 @@ def open_bag(path: Path, options: ReadOptions) -> Recording:
         others = [name for name, _ in survey.imus() if name != topic.name]
         reader = _Reader(bag, topic, options, _thermometers(topics, topic.name))
         return Recording(
-            SourceInfo(str(path), topic.name, topic.type, bag.format),
-            survey.counts[topic.name, topic.type] + (accel.messages or 0 if accel else 0),
-            reader.read,
-            reader.temperature,
-            options,
-            axes,
-            bag.close,
-            accel,
-            sorted(others, key=lambda name: -_shared(name, topic.name)),
+            info=SourceInfo(str(path), topic.name, topic.type, bag.format),
+            messages=survey.counts[topic.name, topic.type] + (accel.messages or 0 if accel else 0),
+            read=reader.read,
+            temperature=reader.temperature,
+            options=options,
+            axes=axes,
+            close=bag.close,
+            accel=accel,
+            other_topics=sorted(others, key=lambda name: -_shared(name, topic.name)),
         )
 
     if not options.accel_topic:

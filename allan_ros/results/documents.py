@@ -120,16 +120,16 @@ def results_from_document(document: object, where: str = 'results') -> Results:
 
         motion = motion_fields.record(NoiseInMotion)
     return Results(
-        ImuIdentity(fields.text('frame_id', ''), fields.text('hardware_id', '')),
-        fields.text('method'),
-        _period_from_document(fields),
-        fields.integer('samples', least=0),
-        fields.number('duration_s', least=0.0),
-        fields.integer('segment_count', least=0),
-        axes,
-        provenance,
-        provenance.findings,
-        sheet_from_document(stated_sheet) if stated_sheet else None,
+        identity=ImuIdentity(fields.text('frame_id', ''), fields.text('hardware_id', '')),
+        method=fields.text('method'),
+        tau0=_period_from_document(fields),
+        samples=fields.integer('samples', least=0),
+        duration_s=fields.number('duration_s', least=0.0),
+        segments=fields.integer('segment_count', least=0),
+        axes=axes,
+        provenance=provenance,
+        findings=provenance.findings,
+        datasheet=sheet_from_document(stated_sheet) if stated_sheet else None,
         margin=stated_sheet.number('margin') if stated_sheet else MARGIN,
         motion=motion,
     )

@@ -69,4 +69,14 @@ def results_of_datasheet(sheet: Datasheet, rate: float = DEFAULT_RATE_HZ) -> Res
     sources = tuple(SourceInfo(text, '', '', '') for text in source_texts)
     identity, provenance = ImuIdentity(sheet.name), Provenance(sources)
     period = 1.0 / rate
-    return Results(identity, FROM_DATASHEET, period, 0, 0.0, 0, axes, provenance, tuple(findings))
+    return Results(
+        identity=identity,
+        method=FROM_DATASHEET,
+        tau0=period,
+        samples=0,
+        duration_s=0.0,
+        segments=0,
+        axes=axes,
+        provenance=provenance,
+        findings=tuple(findings),
+    )

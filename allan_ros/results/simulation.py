@@ -237,7 +237,17 @@ def results_of_truth(path: str | os.PathLike[str]) -> Results:
     }
     samples = round(seconds / tau0)
     provenance = Provenance((SourceInfo(str(path), '', '', ''),))
-    return Results(ImuIdentity(TRUTH), TRUTH, tau0, samples, seconds, 1, axes, provenance, ())
+    return Results(
+        identity=ImuIdentity(TRUTH),
+        method=TRUTH,
+        tau0=tau0,
+        samples=samples,
+        duration_s=seconds,
+        segments=1,
+        axes=axes,
+        provenance=provenance,
+        findings=(),
+    )
 
 
 def _estimates(model: Model) -> dict[str, Estimate]:

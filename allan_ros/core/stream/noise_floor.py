@@ -167,20 +167,18 @@ class NoiseFloor:
         parts = [rows for rows in parts if rows.shape[1] > 1]
         zeros = np.zeros(len(gyro))
         if not parts:
-            no_windows = Windows(np.zeros((3, len(gyro), 0)))
-            unknown_ratio = zeros + np.nan
             return cls(
                 size,
                 gyro,
                 settings,
-                zeros,
-                zeros,
-                zeros,
-                zeros,
-                unknown_ratio,
-                zeros,
-                no_windows,
-                zeros,
+                variance=zeros,
+                step=zeros,
+                mean=zeros,
+                lsb=zeros,
+                ratio=zeros + np.nan,
+                clipped=zeros,
+                windows=Windows(np.zeros((3, len(gyro), 0))),
+                outliers=zeros,
             )
         part_windows = [Windows.of(rows, min(size, rows.shape[1])) for rows in parts]
         windows = Windows.joined(part_windows)
@@ -202,14 +200,14 @@ class NoiseFloor:
             size,
             gyro,
             settings,
-            np.concatenate([_quantile(each.variance, QUANTILE) for each in axis_windows]),
-            MAD_TO_SIGMA * _quantile(mean_steps, 0.5) if mean_steps.size else zeros,
-            np.concatenate([_quantile(each.mean, 0.5) for each in axis_windows]),
-            lsb,
-            von_neumann_ratio(parts),
-            clipped_shares(np.concatenate(parts, axis=1)),
-            windows,
-            zeros,
+            variance=np.concatenate([_quantile(each.variance, QUANTILE) for each in axis_windows]),
+            step=MAD_TO_SIGMA * _quantile(mean_steps, 0.5) if mean_steps.size else zeros,
+            mean=np.concatenate([_quantile(each.mean, 0.5) for each in axis_windows]),
+            lsb=lsb,
+            ratio=von_neumann_ratio(parts),
+            clipped=clipped_shares(np.concatenate(parts, axis=1)),
+            windows=windows,
+            outliers=zeros,
         )
 
     @property

@@ -9,7 +9,7 @@ sensors if their rates differ, and `SensorStream` runs the stages from samples t
 from __future__ import annotations
 
 import copy
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -235,27 +235,27 @@ class ImuStream:
         gates = [sensor.gate for sensor in frame.sensors if sensor.gate is not None]
         streams = [s for each in self._frames.values() for s in (*each.earlier, *each.sensors)]
         health = StreamHealth(
-            counts,
-            present.state,
-            1e9 / clock.period_ns if clock else None,
-            clock.bursty if clock else False,
-            1e9 / clock.base_ns if clock and clock.base_ns else None,
-            frame.first_ns,
-            'record' if frame.stamps.use_record else 'header',
-            frame.identity.frame_id,
-            longest[0].identity.frame_id if longest else frame.identity.frame_id,
-            self._frame_changes,
-            sum(stream.lost for stream in streams),
-            {axis: ratio for gate in gates for axis, ratio in gate.increases.items()},
-            max((stream.lost_s for stream in streams), default=0.0),
-            {axis: share for gate in gates for axis, share in gate.heavy_tails.items()},
-            tuple(event for s in (*frame.earlier, *frame.sensors) for event in s.events.items),
-            self._dropped_frames,
-            {axis: ratio for gate in gates for axis, ratio in gate.decreases.items()},
-            tuple(axis for gate in gates for axis in gate.stuck),
-            {axis: share for sensor in frame.sensors for axis, share in sensor.clipped.items()},
-            present.faults,
-            present.noise,
+            counts=counts,
+            state=present.state,
+            rate_hz=1e9 / clock.period_ns if clock else None,
+            bursty=clock.bursty if clock else False,
+            base_rate_hz=1e9 / clock.base_ns if clock and clock.base_ns else None,
+            first_ns=frame.first_ns,
+            stamps='record' if frame.stamps.use_record else 'header',
+            frame_id=frame.identity.frame_id,
+            sums_frame_id=longest[0].identity.frame_id if longest else frame.identity.frame_id,
+            frame_changes=self._frame_changes,
+            discarded=sum(stream.lost for stream in streams),
+            largest_increase=_united(gate.increases for gate in gates),
+            discarded_s=max((stream.lost_s for stream in streams), default=0.0),
+            outliers=_united(gate.heavy_tails for gate in gates),
+            events=tuple(each for s in (*frame.earlier, *frame.sensors) for each in s.events.items),
+            dropped_frames=self._dropped_frames,
+            largest_decrease=_united(gate.decreases for gate in gates),
+            stuck_axes=tuple(axis for gate in gates for axis in gate.stuck),
+            clipped=_united(sensor.clipped for sensor in frame.sensors),
+            faults=present.faults,
+            noise=present.noise,
         )
         notes = [note for frame in self._frames.values() for note in frame.notes]
         if repeated := sum(frame.repeated for frame in self._frames.values()):
@@ -269,6 +269,11 @@ class ImuStream:
             notes = [note for note in notes if note.id != 'clipped']
         findings = [*notes, *stream_findings(health, longest, self._settings)]
         return health, tuple(dict.fromkeys(findings))
+
+
+def _united(parts: Iterable[Mapping[str, float]]) -> dict[str, float]:
+    """Return axis -> number for the axes of all parts."""
+    return {axis: number for part in parts for axis, number in part.items()}
 
 
 class FrameStream:
@@ -328,7 +333,7 @@ class FrameStream:
         return Present(
             self.state,
             tuple(fault for gate in gates for fault in gate.faults),
-            {axis: level for gate in gates for axis, level in gate.noise.items()},
+            _united(gate.noise for gate in gates),
         )
 
     @property

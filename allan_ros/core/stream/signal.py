@@ -343,21 +343,21 @@ def _recording(
         low[0] = high[0] = np.nan  # NaN separates the lines of two recordings in a chart
     shortest = 1e-3 * length  # shorter periods are narrower than a line of a chart
     summary = SignalSummary(
-        times + offset,
-        low,
-        high,
-        mean,
-        noise,
-        used,
-        np.empty(0),
-        tuple(
+        time_s=times + offset,
+        low=low,
+        high=high,
+        mean=mean,
+        noise=noise,
+        used=used,
+        middle=np.empty(0),
+        excluded=tuple(
             Excluded(period.start + offset, period.end + offset, period.why)
             for period in excluded
             if period.why or period.end - period.start > shortest
         ),
-        tuple((start + offset, end + offset) for start, end in gaps if end - start > shortest),
-        (offset,),
-        None if trace is None else _temperature(trace, first_ns, length, offset),
+        gaps=tuple((start + offset, end + offset) for start, end in gaps if end - start > shortest),
+        starts=(offset,),
+        temperature=None if trace is None else _temperature(trace, first_ns, length, offset),
     )
     return summary, length
 
