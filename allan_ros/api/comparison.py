@@ -35,7 +35,7 @@ class CommonResult(PlainCommonResult):
     __doc__ = PlainCommonResult.__doc__
 
     def __repr__(self) -> str:
-        from ..view.comparison_table import common_lines
+        from ..view.comparison import common_lines
 
         return '\n'.join(common_lines(self))
 
@@ -50,7 +50,7 @@ class RunComparison(PlainRunComparison):
     __doc__ = PlainRunComparison.__doc__
 
     def __repr__(self) -> str:
-        from ..view.comparison_text import sentences
+        from ..view.comparison import sentences
 
         return '\n'.join(sentences(self))
 
@@ -59,7 +59,7 @@ class Inflation(PlainInflation):
     __doc__ = PlainInflation.__doc__
 
     def __repr__(self) -> str:
-        from ..view.comparison_table import inflation_lines
+        from ..view.comparison import inflation_lines
 
         return '\n'.join(inflation_lines(self))
 

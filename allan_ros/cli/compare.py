@@ -24,7 +24,7 @@ from ..api import comparison as api
 from ..api.analysis import ResultSettings, is_document
 from ..core.errors import AllanError
 from ..results.comparison import comparison_document, inflation_document
-from ..view.comparison_table import common_lines, inflation_lines
+from ..view.comparison import common_lines, inflation_lines
 from .console import Console, width
 from .options import Command, Option, Settings, percent, seconds
 from .result_lines import comparison_lines

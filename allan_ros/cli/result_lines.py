@@ -15,8 +15,7 @@ from ..core.imu import AXES, SENSORS, ShownUnit, sensor_of, shown_unit
 from ..results.measured import against_measured, measured_check_text
 from ..results.results import Level, Results
 from ..view.coefficient_table import coefficient_cell, coefficient_table
-from ..view.comparison_table import runs_table
-from ..view.comparison_text import sentences
+from ..view.comparison import runs_table, sentences
 from ..view.finding_text import texts_of
 from ..view.format import deviation_text, temperature_text
 from ..view.model_table import filter_table

@@ -25,7 +25,7 @@ from allan_ros.results.comparison import (
 from allan_ros.results.datasheets import Datasheet, Limit, Source
 from allan_ros.results.documents import labels_of
 from allan_ros.results.results import Results
-from allan_ros.view.comparison_text import sentences
+from allan_ros.view.comparison import sentences
 
 HOSTILE = 'a\x1b[31m|\u202e<b>\r\n$x_{'
 

@@ -19,7 +19,7 @@ from ...export import target_of
 from ...results.axis_result import AxisResult
 from ...results.datasheets import Datasheet
 from ..coefficient_table import Coefficients, coefficient_table
-from ..comparison_table import baseline_table, limit_table, stated_limits
+from ..comparison import baseline_table, limit_table, stated_limits
 from ..finding_text import explained
 from ..format import pretty_unit
 from ..model_table import Axes, filter_table, growth_table, parts_table, size_cell
