@@ -190,21 +190,33 @@ def turn_on_bias(means: Floats, variance: float = 0.0) -> TurnOnBias | None:
     return TurnOnBias(len(means), center, scatter)
 
 
+def equal_blocks(sums: AllanSums, most: int) -> tuple[int, list[tuple[int, int, Floats]]]:
+    """Return the length of blocks in samples, and the means of all segments over such blocks.
+
+    Each item of the list contains the index of the recording of a segment, the stamp of the first
+    sample of the segment in ns, and the means, (blocks, axes). The length is a power of two, chosen
+    so that there are at most ``most`` blocks.
+    """
+    segments = [(r, m) for r, recording in enumerate(sums.recordings) for m in recording.means]
+    step = max((m.step for _, m in segments), default=1)
+    while sum(m.samples // step for _, m in segments) > most:
+        step *= 2
+    return step, [
+        (r, m.start_ns, m.coarser(step).values + sums.recordings[r].reference) for r, m in segments
+    ]
+
+
 def _block_means(sums: AllanSums) -> tuple[Floats, float, Floats]:
     """Return the start of each block in ns, the length of a block in ns, and (blocks, axes) means.
 
-    The length in samples is a power of two, chosen so that there are at most `DRIFT_BLOCKS` blocks.
+    There are at most `DRIFT_BLOCKS` blocks.
     """
-    recorded_means = [(recording, m) for recording in sums.recordings for m in recording.means]
-    step = max((m.step for _, m in recorded_means), default=1)
-    while sum(m.samples // step for _, m in recorded_means) > DRIFT_BLOCKS:
-        step *= 2
+    step, segments = equal_blocks(sums, DRIFT_BLOCKS)
     length_ns = step * (sums.tau0 or 0.0) * 1e9
     begins: list[Floats] = [np.zeros(0)]
     means: list[Floats] = [np.zeros((0, len(sums.axes)))]
-    for recording, m in recorded_means:
-        values = m.coarser(step).values + recording.reference
-        begins.append(m.start_ns + length_ns * np.arange(len(values), dtype=float))
+    for _, start_ns, values in segments:
+        begins.append(start_ns + length_ns * np.arange(len(values), dtype=float))
         means.append(values)
     return np.concatenate(begins), length_ns, np.concatenate(means)
 

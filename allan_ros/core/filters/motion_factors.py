@@ -12,7 +12,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..estimate import Estimate
+from ..estimate import UNKNOWN, Estimate
 from ..fields import Fields
 from ..imu import SENSORS
 from ..noise import Model
@@ -395,6 +395,6 @@ def _elements(data: DriveLikelihood, fit: Fit, name: str) -> tuple[Estimate, ...
     half_widths = _quantile(len(fit.scores)) * deviations
     resolved_flags = deviations < KNOWN_SHARE * CAUSES[name]
     return tuple(
-        Estimate(x, (x - h, x + h)) if is_resolved else Estimate(None, status='not_observable')
+        Estimate(x, (x - h, x + h)) if is_resolved else UNKNOWN
         for x, h, is_resolved in zip(means.tolist(), half_widths.tolist(), resolved_flags.tolist())
     )

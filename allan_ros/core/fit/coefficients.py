@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..estimate import RESOLVED_HALF_WIDTHS, Z_95, Estimate, Status
+from ..estimate import RESOLVED_HALF_WIDTHS, UNKNOWN, Z_95, Estimate, Status
 from ..noise import RANDOM_TERMS, Model, Part, Process
 from ..noise.model import Covariance
 from ..noise.process import GAIN_RESOLVED
@@ -34,9 +34,6 @@ from .likelihood import (
     ramp_estimate,
 )
 from .result import AxisFit, Floats, Q
-
-UNKNOWN = Estimate(None, status='not_observable')
-"""A coefficient with neither a value nor a limit."""
 
 
 def without_estimates() -> AxisFit:

@@ -28,7 +28,7 @@ from numpy.typing import ArrayLike
 from ..allan.curve import sample_period
 from ..allan.sums import AllanSums
 from ..errors import AllanError
-from ..estimate import Z_95, Estimate, Status
+from ..estimate import UNKNOWN, Z_95, Estimate, Status
 from ..findings import Finding, finding
 from ..noise import FLICKER_FLOOR
 from ..nonnegative import nonnegative_least_squares
@@ -87,7 +87,7 @@ def _axis_fit(squares: Floats, sign: int) -> AxisFit:
 
     ``squares``, (terms,), are the squared coefficients in SI, and ``sign`` is the sign of the ramp.
     """
-    noise = {term: Estimate(None, status='not_observable') for term in TERMS}
+    noise = dict.fromkeys(TERMS, UNKNOWN)
     for term, square in zip(TERMS, squares.tolist()):
         if square > 0.0:
             noise[term] = Estimate(math.copysign(math.sqrt(square), sign if term == 'R' else 1))
@@ -156,9 +156,7 @@ def fit_curve(tau: ArrayLike, adev: ArrayLike, record: float | None = None) -> A
     seconds = record or DEFAULT_RECORD * float(tau[-1])
     dof = np.maximum(FREEDOM_PER_AVERAGE * (seconds / tau - 1.0), 1.0)
     relative_errors = np.sqrt(2.0 / dof + LEAST_ERROR**2)
-    unit_avar = np.stack(
-        [3.0 / tau**2, 1.0 / tau, np.full(len(tau), FLICKER_FLOOR), tau / 3.0], axis=1
-    )
+    unit_avar = (tau[:, None] ** np.array(POWERS, float) * PAPER_FACTORS)[:, : TERMS.index('R')]
     model = avar
     for _ in range(3):  # standard errors from the measured curve, then from the model
         rows = unit_avar / (relative_errors * model)[:, None]
@@ -170,7 +168,7 @@ def fit_curve(tau: ArrayLike, adev: ArrayLike, record: float | None = None) -> A
         term: _coefficient(float(square), float(error))
         for term, square, error in zip('QNBK', squares, errors)
     }
-    noise['R'] = Estimate(None, status='not_observable')
+    noise['R'] = UNKNOWN
     return AxisFit(noise, model_of_terms(noise))
 
 

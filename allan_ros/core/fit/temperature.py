@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..allan.at_rest import LEAST_RANGE_K
+from ..allan.at_rest import LEAST_RANGE_K, equal_blocks
 from ..allan.sums import AllanSums
 from ..estimate import Estimate
 from ..findings import Finding, finding
@@ -29,7 +29,7 @@ from ..noise.processes.white import White
 from .coefficients import random_coefficient
 from .likelihood import AxisData, Columns, Fit, LowBand, inverse, profile_interval
 from .result import AxisFit, NoiseModel, SlowNoise, TemperatureModel
-from .statistics import Floats, Ints, statistics
+from .statistics import Floats, Ints, mean_alias, statistics
 
 TEMPERATURE_RESOLVED = 0.01
 """The bias of an axis depends on temperature if the F test of its linear and quadratic coefficients
@@ -146,16 +146,12 @@ def temperature_models(
 
 def _blocks(sums: AllanSums, time_ns: Ints, celsius: Floats) -> _Blocks:
     """Return the block means whose temperature is known."""
-    segments = [(r, m) for r, one in enumerate(sums.recordings) for m in one.means]
-    step = max((m.step for _, m in segments), default=1)
-    while sum(m.samples // step for _, m in segments) > MOST_MEANS:
-        step *= 2
+    step, segments = equal_blocks(sums, MOST_MEANS)
     tau0 = sums.tau0 or 1.0
     columns_of_segments = []
-    origin = segments[0][1].start_ns if segments else 0
-    for r, m in segments:
-        values = m.coarser(step).values + sums.recordings[r].reference
-        time = (m.start_ns - origin) * 1e-9 / (step * tau0) + np.arange(len(values)) + 0.5
+    origin = segments[0][1] if segments else 0
+    for r, start_ns, values in segments:
+        time = (start_ns - origin) * 1e-9 / (step * tau0) + np.arange(len(values)) + 0.5
         columns_of_segments.append((np.full(len(values), r), time, values))
     if not columns_of_segments:
         empty = np.zeros(0)
@@ -184,17 +180,11 @@ def _complement(columns: Floats) -> Floats:
     return np.asarray(q[:, columns.shape[1] :])
 
 
-class _BlockNoise(NamedTuple):
-    """Noise of the block means of one axis."""
-
-    processes: tuple[Process, ...]  # processes whose shapes are in samples
-
-    # (processes,) squared coefficients in the squared unit of the samples; NaN if to be fitted
-    known: Floats
-
-
-def _block_noise(fit: AxisFit, tau0: float, step: int) -> _BlockNoise:
+def _block_noise(fit: AxisFit, tau0: float, step: int) -> dict[Process, float]:
     """Return the noise of means over ``step`` samples of an axis.
+
+    The result maps each process, whose shape is in samples, to the squared coefficient in the
+    squared unit of the samples; NaN if the coefficient is to be fitted.
 
     The coefficients of white noise and fast processes are known from the fit of all data, because
     block means cannot resolve them. White noise includes aliases of sinusoids. Slower processes are
@@ -208,37 +198,27 @@ def _block_noise(fit: AxisFit, tau0: float, step: int) -> _BlockNoise:
             continue
         variance = process.variance_of(part.value, tau0)
         if process.is_line:
-            # half of the largest variance of the aliases, whose frequencies are random
-            white += 0.5 * step * variance * process.alias_variance(step)
+            white += variance * mean_alias(process, step)
         else:
             fast_variances[process] = fast_variances.get(process, 0.0) + variance
-    known = {White(): white or math.nan, **fast_variances}
-    processes = (*NOISE, *fast_variances)
-    return _BlockNoise(processes, np.array([known.get(each, math.nan) for each in processes]))
+    return {**dict.fromkeys(NOISE, math.nan), White(): white or math.nan, **fast_variances}
 
 
-class _NoiseFit(NamedTuple):
-    """Fit of the noise to contrasts of the block means, and the data of this fit."""
+def _slow_noise(data: AxisData, fit: Fit, tau0: float) -> SlowNoise:
+    """Return B and K in SI, with their intervals, from the result of `_Contrasts.fitted`."""
+    errors = np.sqrt(np.diag(fit.covariance()))
 
-    data: AxisData
-    fit: Fit
+    def estimate(term: Process) -> Estimate:
+        at = fit.components.index(term)
+        return random_coefficient(
+            term,
+            variance=float(fit.p[at]) * data.scale,
+            error=float(errors[at]) * data.scale,
+            interval=profile_interval(data, fit, at).times(data.scale),
+            tau0=tau0,
+        )
 
-    def slow_noise(self, tau0: float) -> SlowNoise:
-        """Return B and K in SI, with their intervals."""
-        data, fit = self
-        errors = np.sqrt(np.diag(fit.covariance()))
-
-        def estimate(term: Process) -> Estimate:
-            at = fit.components.index(term)
-            return random_coefficient(
-                term,
-                variance=float(fit.p[at]) * data.scale,
-                error=float(errors[at]) * data.scale,
-                interval=profile_interval(data, fit, at).times(data.scale),
-                tau0=tau0,
-            )
-
-        return SlowNoise(B=estimate(Flicker()), K=estimate(RandomWalk()))
+    return SlowNoise(B=estimate(Flicker()), K=estimate(RandomWalk()))
 
 
 class _Effects(NamedTuple):
@@ -284,8 +264,8 @@ class _Contrasts:
     z: Floats
     covariances: Floats
 
-    def fitted(self, basis: Floats) -> _NoiseFit:
-        """Return the fit of the noise to the projections of the contrasts on a basis.
+    def fitted(self, basis: Floats) -> tuple[AxisData, Fit]:
+        """Return the projections of the contrasts on a basis, and the fit of the noise to them.
 
         The columns of ``basis``, (contrasts, n), are orthonormal. A known coefficient enters the
         likelihood as a measured power to which only the process of this coefficient contributes.
@@ -301,7 +281,7 @@ class _Contrasts:
             low=[LowBand(1, np.zeros(0), np.outer(projected, projected))],
         )
         columns = Columns(power_columns, [basis.T @ self.covariances @ basis])
-        return _NoiseFit(data, data.solve(self.processes, columns))
+        return data, data.solve(self.processes, columns)
 
     def regression(self, fit: Fit, effects: Floats) -> _Effects:
         """Return the sizes of effects, estimated by generalized least squares.
@@ -339,14 +319,14 @@ def _contrasts(
     lags = np.abs(np.subtract.outer(blocks.time, blocks.time))
     lags = np.maximum(np.round(lags, 6), 1.0 - np.eye(len(lags)))
     is_same_recording = np.equal.outer(blocks.recording, blocks.recording)
-    gammas = (process.gamma(blocks.step, lags) for process in noise.processes)
+    gammas = (process.gamma(blocks.step, lags) for process in noise)
     covariances = np.array(
         [basis.T @ np.where(is_same_recording, gamma, 0.0) @ basis for gamma in gammas]
     )
     z = basis.T @ blocks.values[:, data.axis]
     scale = float(z @ z) / len(z) or 1.0
-    data, known = replace(data, scale=scale), noise.known / scale
-    return _Contrasts(data, noise.processes, known, z / math.sqrt(scale), covariances)
+    data, known = replace(data, scale=scale), np.array([*noise.values()]) / scale
+    return _Contrasts(data, tuple(noise), known, z / math.sqrt(scale), covariances)
 
 
 def _model(
@@ -360,14 +340,14 @@ def _model(
     from scipy.special import fdtrc  # slow to import
 
     scale, columns = contrasts.data.scale, basis.T @ effects
-    corrected = contrasts.fitted(_complement(columns))
-    estimates = contrasts.regression(corrected.fit, columns)
+    corrected_data, corrected_fit = contrasts.fitted(_complement(columns))
+    estimates = contrasts.regression(corrected_fit, columns)
     slopes, slope_covariance = estimates.values[:2], estimates.covariance[:2, :2]
     test = slopes @ np.linalg.solve(slope_covariance, slopes) / 2.0
     values, covariance = estimates.values * math.sqrt(scale), estimates.covariance * scale
     # the variance of `level` contains white noise of all block means, and errors of the effects
     y, mean_effects = blocks.values[:, contrasts.data.axis], effects.mean(axis=0)
-    white = float(corrected.fit.p[NOISE.index(White())]) * scale / blocks.step
+    white = float(corrected_fit.p[NOISE.index(White())]) * scale / blocks.step
     level = float(y.mean() - mean_effects @ values)
     level_variance = white / len(y) + mean_effects @ covariance @ mean_effects
     level_half_width = float(half_widths(level_variance, estimates.dof.min()))
@@ -398,6 +378,6 @@ def _model(
         resolved=bool(fdtrc(2.0, estimates.dof[:2].min(), test) < TEMPERATURE_RESOLVED),
         explained=min(max(1.0 - left_drift / drift, 0.0), 1.0) if has_drift else None,
         averaging_time=blocks.step * tau0,
-        measured=contrasts.fitted(np.eye(len(columns))).slow_noise(tau0),
-        corrected=corrected.slow_noise(tau0),
+        measured=_slow_noise(*contrasts.fitted(np.eye(len(columns))), tau0),
+        corrected=_slow_noise(corrected_data, corrected_fit, tau0),
     )
