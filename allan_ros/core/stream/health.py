@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Results and state of a stream of samples: counts, sums, segments, means and findings."""
+"""State of a stream of samples: counts, events, segments and means, and findings about them."""
 
 from __future__ import annotations
 

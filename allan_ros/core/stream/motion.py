@@ -40,7 +40,7 @@ from .noise_floor import (
     SHAKEN_RATIO,
     NoiseFloor,
 )
-from .noise_levels import Change, NoiseLevels, NoiseRatios
+from .noise_levels import Change, NoiseLevels
 from .present_faults import present_faults
 from .rest_filter import SPIKE_NEIGHBORS, RestFilter, without_spikes
 from .sensors import clipped_shares
@@ -104,7 +104,6 @@ class MotionGate:
         self._levels, self._counts = levels, counts
         self._period_s = period_ns * 1e-9
         self._rest = RestFilter(self.size, self._period_s, axes, levels, events, counts.splits)
-        self._ratios = NoiseRatios(len(axes))
         self._learning: list[ImuBatch] = []  # samples before the noise floor is known
 
         # samples after the last window whose look-ahead is complete
@@ -169,12 +168,12 @@ class MotionGate:
 
         Only ratios above 1 are included. It is empty if the noise of no axis was increased.
         """
-        return self._named(self._ratios.largest)
+        return self._named(self._levels.largest_ratio)
 
     @property
     def decreases(self) -> dict[str, float]:
         """Axis with decreased noise -> smallest ratio of its noise to the noise floor."""
-        return self._named(self._ratios.smallest)
+        return self._named(self._levels.smallest_ratio)
 
     def _named(self, ratios: Floats) -> dict[str, float]:
         return {axis: float(r) for axis, r in zip(self._axes, ratios) if r != 1.0}
@@ -355,7 +354,7 @@ class MotionGate:
         is_fault = levels.change == 'noise_decreased'
         shortest_s = FAULTY_S if is_fault else 0.0
         if levels.lasts_longer and levels.present.samples * self._period_s >= shortest_s:
-            self._accept()
+            self._levels.accept()
         if not self._change_level():
             self._find_unit_change()
             if self._number == BLOCK_WINDOWS:
@@ -403,7 +402,7 @@ class MotionGate:
         is_newly_clipped, variance = floor.newly_clipped(recent.rows), recent.windows.variance
         if is_newly_clipped.any():
             flags = np.broadcast_to(is_newly_clipped[:, None], variance.shape)
-            self._ratios.add_decrease(variance, flags, floor.variance)
+            self._levels.add_decrease(variance, flags, floor.variance)
             self._try(learned, 'noise_decreased')
         else:  # only the samples before the latest windows were clipped
             self._replace('moving', learned)
@@ -424,7 +423,7 @@ class MotionGate:
         if has_decreased.any() and (
             decreased_axes.any() or self._levels.present.counts.noise_decreased
         ):
-            self._ratios.add_decrease(recent.windows.variance, has_decreased, floor.variance)
+            self._levels.add_decrease(recent.windows.variance, has_decreased, floor.variance)
         if decreased_axes.any():
             self._try(learned, 'noise_decreased')
         return bool(decreased_axes.any())
@@ -438,7 +437,7 @@ class MotionGate:
         # no noise floor is learned from samples in another unit
         if ratio is None or floor.changed_unit(ratio):
             return False
-        self._ratios.add(ratio)
+        self._levels.add_increase(ratio)
         self._rest.name_motion('noise_increased', BLOCK_WINDOWS * self.size)
         published = self._levels.published
         is_shaken = np.count_nonzero(ratio > SHAKEN_RATIO) >= MOVING_AXES
@@ -447,7 +446,7 @@ class MotionGate:
         )
         self._try(self._learned_floor(block.samples), 'noise_increased')
         if not (is_established or is_shaken):
-            self._accept()
+            self._levels.accept()
         return True
 
     def _find_unit_change(self) -> None:
@@ -458,14 +457,13 @@ class MotionGate:
         ratio = floor.increase(recent.rows, recent.windows)
         if ratio is None or not floor.changed_unit(ratio):
             return
-        self._ratios.add(ratio)
+        self._levels.add_increase(ratio)
         self._rest.name_motion('noise_increased', CHECKED_WINDOWS * self.size)
 
     def _replace(self, reason: Literal['moving', 'stuck'], floor: NoiseFloor) -> None:
         """Discard the present noise level, and begin another noise level."""
         self._rest.end_segment()
         self._levels.replace_present(floor, reason)
-        self._ratios.forget()
         self._begin_level('motion' if reason == 'moving' else 'stuck')
 
     def _try(self, floor: NoiseFloor, change: Change) -> None:
@@ -485,11 +483,6 @@ class MotionGate:
             seconds = (self._recent.latest_ns - began_ns) * 1e-9
             self._events.add(seconds, Event(change, began_ns, seconds))
         self._begin_level(change)
-
-    def _accept(self) -> None:
-        """Regard the changed noise as normal."""
-        self._levels.accept()
-        self._ratios.forget()
 
     def _begin_level(self, cut: str) -> None:
         self._rest.begin_level(cut)

@@ -29,32 +29,6 @@ ExcludedAs = Literal['moving', 'stuck', 'noise_decreased', 'noise_increased']
 """Field of `Counts` that counts the samples of a noise level whose sums are not the result."""
 
 
-class NoiseRatios:
-    """Largest and smallest ratios of the noise at rest to the noise floor of each axis, (axes,)."""
-
-    def __init__(self, axes: int) -> None:
-        self.largest, self.smallest = np.ones(axes), np.ones(axes)
-
-    def forget(self) -> None:
-        """Reset the ratios, because they are ratios to a former noise floor."""
-        self.largest[:] = self.smallest[:] = 1.0
-
-    def add(self, ratio: Floats) -> None:
-        """Add ratios, (axes,), of increased noise."""
-        self.largest = np.maximum(self.largest, ratio)
-
-    def add_decrease(self, variance: Floats, decreased: Flags, floor: Floats) -> None:
-        """Add the ratios of k windows with decreased noise.
-
-        ``variance`` and ``decreased``, (axes, k), are the variances and the flags for decreased
-        noise. ``floor``, (axes,), is the variance of the noise floor.
-        """
-        has_decreased = decreased.any(axis=1)
-        variances = np.where(decreased, variance, np.nan)[has_decreased]
-        ratio = np.sqrt(np.nanmean(variances, axis=1) / floor[has_decreased])
-        self.smallest[has_decreased] = np.minimum(self.smallest[has_decreased], ratio)
-
-
 class StreamSums(NamedTuple):
     """Sums and longest segments of data at one sample rate."""
 
@@ -79,7 +53,7 @@ class NoiseLevel:
         self._with_samples = with_samples
         self._engine = RunningSums(identity, axes)
         self._replaced = RunningStretches(len(axes))
-        self._axes, self._clipping = axes, Clipping(len(axes))
+        self.axes, self._clipping = axes, Clipping(len(axes))
         self._segments: Longest[Segment] = Longest(LISTED_SEGMENTS)
         # first stamp of the present segment, and reason for the split before this segment
         self._start_ns, self._cut = 0, ''
@@ -97,7 +71,7 @@ class NoiseLevel:
     @property
     def clipped(self) -> dict[str, float]:
         """Axis -> share of its samples that are clipped, for shares of at least `MIN_CLIPPED`."""
-        shares = zip(self._axes, self._clipping.shares.tolist())
+        shares = zip(self.axes, self._clipping.shares.tolist())
         return {axis: share for axis, share in shares if share >= MIN_CLIPPED}
 
     @property
@@ -159,6 +133,8 @@ class NoiseLevels:
         self.other: NoiseLevel | None = None
         self.is_tried = False
         self.change: Change = 'noise_increased'
+        axes = len(self.present.axes)
+        self.largest_ratio, self.smallest_ratio = np.ones(axes), np.ones(axes)
         self._began_ns = 0  # stamp at which the noise changed to the level on trial
 
         # how the samples of the other level are counted if its sums are not the result
@@ -221,6 +197,7 @@ class NoiseLevels:
             self._drops += 1
             self._last_ns = self.present.last_ns
         self._dropped.add(self.present.counted_as(reason))
+        self._forget_ratios()
         self._begin(floor)
 
     def try_another(self, floor: NoiseFloor, change: Change, began_ns: int) -> None:
@@ -255,6 +232,27 @@ class NoiseLevels:
     def accept(self) -> None:
         """Make the present level the result; keep the other level, because its noise may return."""
         self.is_tried, self._other_is = False, 'moving'
+        self._forget_ratios()
+
+    def add_increase(self, ratio: Floats) -> None:
+        """Add ratios of increased noise to the noise floor, (axes,), to ``largest_ratio``."""
+        self.largest_ratio = np.maximum(self.largest_ratio, ratio)
+
+    def add_decrease(self, variance: Floats, decreased: Flags, floor: Floats) -> None:
+        """Add the ratios of k windows with decreased noise to ``smallest_ratio``.
+
+        ``variance`` and ``decreased``, (axes, k), are the variances and the flags for decreased
+        noise. ``floor``, (axes,), is the variance of the noise floor.
+        """
+        has_decreased = decreased.any(axis=1)
+        variances = np.where(decreased, variance, np.nan)[has_decreased]
+        ratio = np.sqrt(np.nanmean(variances, axis=1) / floor[has_decreased])
+        self.smallest_ratio[has_decreased] = np.minimum(self.smallest_ratio[has_decreased], ratio)
+
+    def _forget_ratios(self) -> None:
+        """Reset the ratios, because they are ratios to a former noise floor."""
+        self.largest_ratio = np.ones_like(self.largest_ratio)
+        self.smallest_ratio = np.ones_like(self.smallest_ratio)
 
     def _begin(self, floor: NoiseFloor) -> None:
         self.present.close()
