@@ -22,7 +22,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -31,7 +30,7 @@ from ..allan.curve import AllanCurve
 from ..allan.sums import AllanSums
 from ..estimate import Z_95
 from ..findings import Finding, finding
-from ..noise import FLICKER_FLOOR
+from ..noise import FLICKER_FLOOR, Part
 from .result import AxisFit, NoiseModel, largest_deviation, model_line
 
 TOO_SHORT_S = 20.0
@@ -81,7 +80,7 @@ def axis_findings(sums: AllanSums, axis: int, fit: AxisFit, tau0: float) -> list
     if fit.filtered:
         found.append(finding('low_pass', name, frequency=4.0 / (fit.m_min * tau0)))
     shaped = fit.model.shaped.parts
-    sinusoids = [Line(p.process.shape[0], p.value) for p in shaped if p.process.is_line]
+    sinusoids = [part for part in shaped if part.process.is_line]
     found += [line_finding(name, group, tau0) for group in with_harmonics(sinusoids)]
     for process, value, *_ in shaped:
         if not process.is_line:
@@ -120,22 +119,15 @@ def with_deviations(model: NoiseModel, curve: AllanCurve) -> NoiseModel:
     return replace(model, axes=axes, findings=(*model.findings, *merge_equal(found)))
 
 
-class Line(NamedTuple):
-    """Sinusoid in the model of an axis."""
-
-    frequency: float  # frequency in Hz
-    amplitude: float  # amplitude in SI
-
-
-def with_harmonics(lines: Sequence[Line]) -> list[list[Line]]:
+def with_harmonics(lines: Sequence[Part]) -> list[list[Part]]:
     """Return the sinusoids in groups: each group has a fundamental and then its harmonics.
 
     ``lines`` must be sorted by frequency.
     """
-    groups: list[list[Line]] = []
+    groups: list[list[Part]] = []
     for line in lines:
         for group in groups:
-            ratio = line.frequency / group[0].frequency
+            ratio = _frequency(line) / _frequency(group[0])
             is_multiple = abs(ratio - round(ratio)) < HARMONIC * ratio
             if is_multiple and 1.5 < ratio < HIGHEST_HARMONIC:
                 group.append(line)
@@ -145,29 +137,32 @@ def with_harmonics(lines: Sequence[Line]) -> list[list[Line]]:
     return groups
 
 
-def line_finding(name: tuple[str], lines: Sequence[Line], tau0: float) -> Finding:
+def _frequency(line: Part) -> float:
+    """Return the frequency of a sinusoid of a model in Hz."""
+    return float(line.process.numbers['frequency'])
+
+
+def line_finding(name: tuple[str], lines: Sequence[Part], tau0: float) -> Finding:
     """Return the finding about a sinusoid and its harmonics: a vibration or a slow disturbance.
 
     ``name`` contains the name of the axis. The first of the ``lines`` is the fundamental. ``tau0``
     is the sample period in s.
     """
-    fundamental = lines[0]
-    amplitude = math.sqrt(sum(each.amplitude**2 for each in lines))
-    if fundamental.frequency < SLOWEST_VIBRATION:
-        period = 1.0 / fundamental.frequency
+    frequency = _frequency(lines[0])
+    amplitude = math.sqrt(sum(each.value**2 for each in lines))
+    if frequency < SLOWEST_VIBRATION:
+        period = 1.0 / frequency
         return finding('slow_disturbance', name, period=period, amplitude=amplitude)
     rate = 1.0 / tau0
-    alias = rate - fundamental.frequency
-    is_distinct = f'{alias:.3g}' != f'{fundamental.frequency:.3g}'
-    has_alias = (
-        rate < FASTEST_VIBRATION and fundamental.frequency > ALIAS_FROM * rate and is_distinct
-    )
+    alias = rate - frequency
+    is_distinct = f'{alias:.3g}' != f'{frequency:.3g}'
+    has_alias = rate < FASTEST_VIBRATION and frequency > ALIAS_FROM * rate and is_distinct
     return finding(
         'vibration',
         name,
-        frequency=fundamental.frequency,
+        frequency=frequency,
         alias=alias if has_alias else None,
-        harmonics=', '.join(f'{each.frequency:.3g}' for each in lines[1:]) or None,
+        harmonics=', '.join(f'{_frequency(each):.3g}' for each in lines[1:]) or None,
         amplitude=amplitude,
     )
 

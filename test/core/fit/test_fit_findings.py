@@ -11,7 +11,6 @@ from allan_ros.core.findings import finding
 from allan_ros.core.fit.fit_findings import (
     LENGTHS_S,
     SECONDS_FOR_N,
-    Line,
     line_finding,
     longest_recommended,
     merge_equal,
@@ -20,6 +19,8 @@ from allan_ros.core.fit.fit_findings import (
 )
 from allan_ros.core.fit.result import AxisFit
 from allan_ros.core.fit.stationary import fit_likelihood
+from allan_ros.core.noise import Part
+from allan_ros.core.noise.processes.sinusoid import Sinusoid
 from allan_ros.view.finding_text import texts_of
 
 HOUR = 3600.0
@@ -44,7 +45,7 @@ def test_equal_findings_are_joined():
     ],
 )
 def test_the_finding_of_a_sinusoid_depends_on_its_frequency(hertz, id, words):
-    line = Line(hertz, 0.01)
+    line = Part(Sinusoid(hertz), 0.01)
     found = line_finding(('accel_x',), [line], 0.01)
     assert found.id == id and texts_of(found).message.startswith(words)
 
@@ -63,7 +64,7 @@ def test_an_axis_without_numbers_states_the_reason(samples, id):
 
 
 def test_a_sinusoid_and_its_harmonics_are_one_finding():
-    lines = [Line(f, a) for a, f in ((0.3, 15.0), (0.4, 30.0))]
+    lines = [Part(Sinusoid(f), a) for a, f in ((0.3, 15.0), (0.4, 30.0))]
     found = line_finding(('accel_x',), lines, 0.01)
     assert found.values['amplitude'].value == pytest.approx(0.5)
     assert (
@@ -79,7 +80,7 @@ def test_a_sinusoid_and_its_harmonics_are_one_finding():
     ],
 )
 def test_only_low_multiples_are_harmonics(frequencies, sizes):
-    lines = [Line(f, 1.0) for f in frequencies]
+    lines = [Part(Sinusoid(f), 1.0) for f in frequencies]
     assert [len(group) for group in with_harmonics(lines)] == sizes
 
 
