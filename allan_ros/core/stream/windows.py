@@ -154,7 +154,7 @@ class RecentWindows:
         for part in reversed(self._parts):
             if number <= 0:
                 break
-            parts.insert(0, part.last(min(number, len(part.still))))
+            parts.insert(0, part.last(number) if number < len(part.still) else part)
             number -= len(part.still)
         return RecentWindows(tuple(parts))
 
