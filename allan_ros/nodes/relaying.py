@@ -27,7 +27,13 @@ from std_msgs.msg import String
 
 from ..core.errors import AllanError, one_line
 from ..core.estimate import Estimate
-from ..core.filters.white_variances import Variances, white_ratio, white_variances
+from ..core.filters.white_variances import (
+    Variances,
+    cover_bias,
+    scaled_variances,
+    white_ratio,
+    white_variances,
+)
 from ..core.findings import Finding, finding
 from ..core.imu import AXES, SENSORS, ImuIdentity, sensor_of
 from ..core.stream.present_faults import noise_ratios
@@ -90,31 +96,6 @@ def relay_variances(results: Results, settings: RelaySettings, rate: float) -> d
     return white_variances(fits, rate, settings.inflate, settings.horizon)
 
 
-def cover_bias(
-    variances: dict[str, Variances], bias: Mapping[str, Estimate], messages: float
-) -> dict[str, Variances]:
-    """Return the variances, with the variances of the gyro increased so that they cover the bias.
-
-    ``messages`` is the number of samples that a state estimator integrates. From the increased
-    variances, the state estimator computes a variance of the integral that covers the error due to
-    noise and bias. ``bias`` is axis -> bias at rest in SI for each axis with a known bias; an
-    unknown bias is taken as 0. The bias of an accelerometer is unknown, because it cannot be
-    distinguished from gravity.
-    """
-    if 'gyro' not in variances:
-        return variances
-    no_bias = Estimate.normal(0.0, 0.0)
-    biases = (bias.get(axis, no_bias) for axis in AXES[SENSORS['gyro']])
-    bias_variances = (
-        max(1.0, messages) * ((axis_bias.value or 0.0) ** 2 + axis_bias.std**2)
-        for axis_bias in biases
-    )
-    x, y, z = (
-        noise + bias_variance for noise, bias_variance in zip(variances['gyro'], bias_variances)
-    )
-    return {**variances, 'gyro': (x, y, z)}
-
-
 def in_motion(variances: dict[str, Variances], results: Results) -> dict[str, Variances]:
     """Return the variances, multiplied by the squared factor in motion of each sensor.
 
@@ -129,19 +110,6 @@ def in_motion(variances: dict[str, Variances], results: Results) -> dict[str, Va
         sensor: max(errors.factor.value or 1.0, 1.0) for sensor, errors in motion.sensors.items()
     }
     return scaled_variances(variances, {axis: factors[sensor_of(axis)] for axis in AXES})
-
-
-def scaled_variances(
-    variances: dict[str, Variances], ratios: Mapping[str, float]
-) -> dict[str, Variances]:
-    """Return each variance times the squared ratio of its axis; a missing ratio is taken as 1."""
-    scaled = dict(variances)
-    for sensor, values in variances.items():
-        x, y, z = (
-            value * ratios.get(axis, 1.0) ** 2 for axis, value in zip(AXES[SENSORS[sensor]], values)
-        )
-        scaled[sensor] = x, y, z
-    return scaled
 
 
 def bias_in_model(results: Results) -> dict[str, Estimate]:

@@ -13,13 +13,13 @@ pytest.importorskip('rclpy')
 
 from geometry_msgs.msg import TwistWithCovarianceStamped
 
-from allan_ros.core.filters.white_variances import white_ratio
+from allan_ros.core.filters.white_variances import cover_bias, white_ratio
 from allan_ros.core.findings import finding
 from allan_ros.core.imu import ImuBatch
 from allan_ros.core.stream.pipeline import ImuStream
 from allan_ros.nodes.messages import bias_of
 from allan_ros.nodes.node_settings import SETTLED_RATIO, RelaySettings
-from allan_ros.nodes.relaying import cover_bias, relay_variances
+from allan_ros.nodes.relaying import relay_variances
 from allan_ros.readers.recorded import Provenance
 from allan_ros.results.analysis import analyze_sums
 from allan_ros.results.results import Results

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Variance of the white noise of a sample, for the covariances in messages of an IMU."""
+"""Variances of one sample, for the covariances in messages of an IMU: white noise and bias."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from contextlib import suppress
 
 from ..errors import AllanError
+from ..estimate import Estimate
 from ..fit.result import AxisFit
 from ..imu import AXES, SENSORS
 from ..noise import Model
@@ -73,3 +74,41 @@ def white_ratio(axes: Mapping[str, AxisFit], horizon: float) -> float:
         )
         ratios.append(high / low if low > 0.0 else math.inf)
     return max(ratios)
+
+
+def scaled_variances(
+    variances: dict[str, Variances], ratios: Mapping[str, float]
+) -> dict[str, Variances]:
+    """Return each variance times the squared ratio of its axis; a missing ratio is taken as 1."""
+    scaled = dict(variances)
+    for sensor, values in variances.items():
+        x, y, z = (
+            value * ratios.get(axis, 1.0) ** 2 for axis, value in zip(AXES[SENSORS[sensor]], values)
+        )
+        scaled[sensor] = x, y, z
+    return scaled
+
+
+def cover_bias(
+    variances: dict[str, Variances], bias: Mapping[str, Estimate], messages: float
+) -> dict[str, Variances]:
+    """Return the variances, with the variances of the gyro increased so that they cover the bias.
+
+    ``messages`` is the number of samples that a state estimator integrates. From the increased
+    variances, the state estimator computes a variance of the integral that covers the error due to
+    noise and bias. ``bias`` is axis -> bias at rest in SI for each axis with a known bias; an
+    unknown bias is taken as 0. The bias of an accelerometer is unknown, because it cannot be
+    distinguished from gravity.
+    """
+    if 'gyro' not in variances:
+        return variances
+    no_bias = Estimate.normal(0.0, 0.0)
+    biases = (bias.get(axis, no_bias) for axis in AXES[SENSORS['gyro']])
+    bias_variances = (
+        max(1.0, messages) * ((axis_bias.value or 0.0) ** 2 + axis_bias.std**2)
+        for axis_bias in biases
+    )
+    x, y, z = (
+        noise + bias_variance for noise, bias_variance in zip(variances['gyro'], bias_variances)
+    )
+    return {**variances, 'gyro': (x, y, z)}
