@@ -104,8 +104,7 @@ class Segment:
         )
         possible_contrasts = int(2.0 * points * step * lower_edge(kept_octaves))
         size = Size(points, max(min(possible_contrasts, MOST_CONTRASTS, points - 2), 2))
-        z = means.values.T @ contrasts(size)
-        group = Group(size, 1, z, z[:, :, None] * z[:, None, :])
+        group = Group.of(size, means.values.T[None])
         kept_bins = known.octave < kept_octaves
         segment_statistics = replace(
             known,
@@ -192,7 +191,7 @@ class AxisSegment:
             whitened, z = self._whitened(effects, fit)
             sizes = np.linalg.lstsq(whitened, z, rcond=None)[0]
             residuals = self.z - effects @ sizes
-            low = [LowBand(1, self.data.low[0].line, np.outer(residuals, residuals))]
+            low = [LowBand(1, np.outer(residuals, residuals))]
             data = replace(self.data, low=low)
             start = np.maximum(fit.p, 1e-6 * fit.p.max())
             value_before = fit.value

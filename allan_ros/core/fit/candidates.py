@@ -21,7 +21,7 @@ from ..allan.grid import octave
 from ..noise import SEARCHED, Process
 from ..noise.process import FREQUENCY, Search
 from .likelihood import AxisData, Fit
-from .statistics import Floats, Ints, Statistics, contrasts
+from .statistics import Floats, Ints, Statistics, contrasts, without_lines
 
 SHORTEST_TIME = 2.0
 """Shortest correlation time of a Gauss-Markov process in samples. A process with a shorter
@@ -173,10 +173,9 @@ class Kind:
         Each array is (k, contrasts, contrasts). The covariances are computed for the coefficient 1
         and have the unit of the coefficient.
         """
-        columns = [self.statistics.column(self.processes[i]).low for i in self.slow.tolist()]
-        return [
-            np.array([c[g][1:, 1:] for c in columns]) for g in range(len(self.statistics.groups))
-        ]
+        known = self.statistics
+        low = [known.column(self.processes[i]).low for i in self.slow.tolist()]
+        return [np.array(group) for group in zip(*(without_lines(a, known.sizes) for a in low))]
 
     @cached_property
     def waves(self) -> list[Floats]:
@@ -192,7 +191,7 @@ class Kind:
         for g in self.statistics.groups:
             turns = 2.0 * np.pi * step * f[:, None] * np.arange(g.size.points)
             wave_means = np.stack([np.cos(turns), np.sin(turns)], axis=1) * gain[:, None, None]
-            out.append(wave_means @ contrasts(g.size)[:, 1:])
+            out.append(wave_means @ contrasts(g.size)[:, g.size.lines :])
         return out
 
     def gains(self, data: AxisData, fit: Fit, low: Sequence[LowBandFit]) -> Floats:

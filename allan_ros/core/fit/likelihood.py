@@ -5,7 +5,7 @@
 Likelihood
 ----------
 The power of each bin of the octave spectra has a Gamma distribution with known degrees of freedom.
-The contrasts of the block means are Gaussian. The first contrast, a line in time, is not used. The
+The contrasts of the block means are Gaussian. The line in time among them is not used. The
 likelihood is therefore the restricted likelihood (REML) of the block means with an unknown mean and
 an unknown ramp in each segment.
 
@@ -18,6 +18,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import groupby
 from typing import NamedTuple
 
 import numpy as np
@@ -25,7 +26,7 @@ from numpy.typing import NDArray
 
 from ..noise import Parameter, Process
 from ..nonnegative import nonnegative_least_squares
-from .statistics import Floats, Statistics, contrasts
+from .statistics import Floats, Statistics, contrasts, without_lines
 
 Flags = NDArray[np.bool_]
 
@@ -120,16 +121,14 @@ def inverse(information: Floats) -> Floats:
 
 
 class LowBand(NamedTuple):
-    """Contrasts z (weighted sums of block means) of all segments of equal length, for one axis.
+    """Contrasts z (weighted sums of block means) of one group of segments, for one axis.
 
-    The first contrast is a line in time.
+    The line in time is not among the contrasts.
     """
 
     segments: int  # number of segments
-    line: Floats  # (contrasts,) sum of z over the segments
-
-    # (contrasts - 1, contrasts - 1) sum of z z' over the segments, for z without the first contrast
-    gram: Floats
+    gram: Floats  # (contrasts, contrasts) sum of z z' over the segments
+    points: int = 0  # number of block means of each segment
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,9 +174,10 @@ class AxisData:
             ]
             scale = sum(t for t, _ in traces) / max(sum(n for _, n in traces), 1)
         scale = scale if scale > 0.0 else 1.0
+        grams = without_lines([g.gram[axis] for g in statistics.groups], statistics.sizes)
         low = [
-            LowBand(g.segments, g.sums[axis] / math.sqrt(scale), g.gram[axis][1:, 1:] / scale)
-            for g in statistics.groups
+            LowBand(g.segments, gram / scale, g.size.points)
+            for g, gram in zip(statistics.groups, grams)
         ]
         used = np.ones(len(power), bool)
         return cls(statistics, axis, scale, power / scale, low, dof, used)
@@ -190,16 +190,16 @@ class AxisData:
         """
         columns = [self.statistics.column(each, self.axis) for each in components]
         power = [each.power for each in columns]
-        low = [[each.low[g][1:, 1:] for each in columns] for g in range(len(self.low))]
+        low = [without_lines(each.low, self.statistics.sizes) for each in columns]
         for i, parameter in tangents:
             h = parameter.derivative_step
             shifted = self.statistics.column(
                 components[i].scaled(parameter, math.exp(h)), self.axis
             )
             power.append((shifted.power - power[i]) / h)
-            for group, a in zip(low, shifted.low):
-                group.append((a[1:, 1:] - group[i]) / h)
-        return Columns(np.array(power).T[self.used], [np.array(group) for group in low])
+            shifted_low = without_lines(shifted.low, self.statistics.sizes)
+            low.append([(b - a) / h for a, b in zip(low[i], shifted_low)])
+        return Columns(np.array(power).T[self.used], [np.array(group) for group in zip(*low)])
 
     def moments(self, columns: Columns, p: Floats) -> tuple[float, Floats, Floats] | None:
         """Return -2 log L, the Fisher information I and the moment m at the coefficients ``p``.
@@ -218,7 +218,7 @@ class AxisData:
         value = 2.0 * float(half @ (np.log(s) + ratio))
         a = columns.power * (np.sqrt(half) / s)[:, None]
         information, moment = a.T @ a, a.T @ (ratio * np.sqrt(half))
-        for (count, _, gram), d in zip(self.low, columns.low):
+        for (count, gram, _), d in zip(self.low, columns.low):
             flat = d.reshape(len(p), -1)
             root, failure = lapack.dpotrf((p @ flat).reshape(d.shape[1:]), lower=1)
             if failure:
@@ -245,16 +245,18 @@ class AxisData:
     def start(self, columns: Columns) -> Floats:
         """Return coefficients to start from, (components,), in units of `scale`.
 
-        With these coefficients, no component alone exceeds any measured statistic.
+        With these coefficients, no component alone exceeds the measured power of any bin, or the
+        mean square of all contrasts of any segment length.
         """
         upper_bounds = np.full(len(columns.power.T), np.inf)
         if len(columns.power):
             ratios = self.power[self.used][:, None] / np.maximum(columns.power, 1e-300)
             upper_bounds = ratios.min(axis=0)
-        for (count, _, gram), d in zip(self.low, columns.low):
-            traces = np.trace(d, axis1=1, axis2=2)
-            mean = float(np.trace(gram)) / count
-            upper_bounds = np.minimum(upper_bounds, mean / np.maximum(traces, 1e-300))
+        for _, parts in groupby(zip(self.low, columns.low), lambda part: part[0].points):
+            of_length = list(parts)
+            measured = sum(float(np.trace(low.gram)) / low.segments for low, _ in of_length)
+            expected = sum(np.trace(d, axis1=1, axis2=2) for _, d in of_length)
+            upper_bounds = np.minimum(upper_bounds, measured / np.maximum(expected, 1e-300))
         return np.asarray(np.maximum(upper_bounds, 1e-12) / len(upper_bounds))
 
     def solve(
@@ -467,7 +469,9 @@ def ramp_estimate(data: AxisData, fit: Fit) -> RampEstimate | None:
     slope = np.zeros(len(fit.p))
     statistics = data.statistics
     columns = [statistics.column(c, data.axis).low for c in fit.components]
-    for g, (group, low) in enumerate(zip(statistics.groups, data.low)):
+    for g, group in enumerate(statistics.groups):
+        if not group.size.lines:
+            continue  # a ramp has no effect on symmetric contrasts
         d = np.array([column[g] for column in columns])
         line_weights = contrasts(group.size)[:, 0]
         # the line contrast of a ramp of 1 per sample
@@ -476,7 +480,7 @@ def ramp_estimate(data: AxisData, fit: Fit) -> RampEstimate | None:
         e[0] = unit_line
         w = np.linalg.solve(np.tensordot(fit.p, d, 1), e)
         information += group.segments * float(w[0]) * unit_line
-        moment += float(w @ low.line)
+        moment += float(w @ group.sums[data.axis]) / math.sqrt(data.scale)
         slope += group.segments * np.einsum('i,kij,j->k', w, d, w)
     if not information > 0.0:
         return None

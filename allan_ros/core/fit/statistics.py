@@ -11,12 +11,16 @@ leakage of the taper and the aliases of the decimation.
 Below the crossover frequency, the statistics are contrasts: sums of the block means of a segment,
 weighted with cosines that are orthogonal to a constant and to a line. Their covariance is a linear
 function of gamma(M, j), too. Segments of equal length share one Gram matrix.
+
+Contrasts whose weights are symmetric in time are uncorrelated with contrasts whose weights are
+antisymmetric, because the autocovariance does not depend on the direction of time. They form two
+groups, so that the matrices are small.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import NamedTuple
@@ -55,6 +59,24 @@ class Size(NamedTuple):
     # time constant, in block means, of a settling to which the contrasts are orthogonal; 0 for none
     decay: float = 0.0
 
+    symmetry: int = 0  # 1 if all weights are symmetric in time, -1 if antisymmetric, 0 for both
+
+    @property
+    def lines(self) -> int:
+        """1 if the first contrast is a line in time, which is antisymmetric; else 0."""
+        return 0 if self.symmetry > 0 else 1
+
+    def halves(self) -> list[Size]:
+        """Return the sizes of the antisymmetric and of the symmetric contrasts.
+
+        If the contrasts are orthogonal to a settling, which is neither symmetric nor antisymmetric,
+        or if there are fewer contrasts than `LEAST_DIVIDED`, this size is returned alone.
+        """
+        if self.decay or self.high < LEAST_DIVIDED:
+            return [self]
+        antisymmetric = self._replace(high=(self.high + 1) // 2, symmetry=-1)
+        return [antisymmetric, self._replace(high=self.high // 2, symmetry=1)]
+
 
 Sizes = tuple[Size, ...]
 """Sizes of the contrasts of all groups of segments."""
@@ -69,6 +91,10 @@ LEAST_POINTS = 4
 MOST_CONTRASTS = 300
 """Largest number of cosines of a segment. If there are spectra, only cosines below the crossover
 frequency are used."""
+
+LEAST_DIVIDED = 32
+"""Fewest contrasts that are divided into antisymmetric and symmetric contrasts. With fewer, two
+small matrices take as much time as one matrix."""
 
 SETTLED = 5.0
 """Time, in time constants, after which a settling has ended: 0.7 % of its size is left."""
@@ -120,31 +146,46 @@ def _power_of(gamma: Gamma, octaves: int) -> Floats:
 
 @lru_cache(maxsize=64)
 def contrasts(size: Size) -> Floats:
-    """Return the weights of block means in each contrast, (points, 1 + high).
+    """Return the weights of block means in each contrast, (points, `Size.lines` + high).
 
-    The columns are a line in time, and cosines of 1 to ``high`` half periods. They are made
+    The columns are a line in time, and cosines of 1, 2, ... half periods. Antisymmetric cosines
+    have an odd number of half periods, symmetric cosines an even number. The columns are made
     orthonormal, and orthogonal to a constant and to the settling, if there is one.
     """
-    points, high, decay = size
+    points, high, decay, symmetry = size
     t = np.arange(points)
     excluded = [np.ones(points)]
     if decay:
         excluded.append(np.exp(-t / decay))
-    cosines = np.cos(np.pi * np.outer(t + 0.5, np.arange(1, high + 1)) / points)
-    q, _ = np.linalg.qr(np.column_stack([*excluded, t - t.mean(), cosines]))
+    lines = [t - t.mean()] * size.lines
+    half_periods = np.arange(1, high + 1) if not symmetry else 2 * np.arange(1, high + 1)
+    half_periods -= symmetry < 0
+    cosines = np.cos(np.pi * np.outer(t + 0.5, half_periods) / points)
+    q, _ = np.linalg.qr(np.column_stack([*excluded, *lines, cosines]))
     return np.asarray(q[:, len(excluded) :])
 
 
-@lru_cache(maxsize=24)  # sums have at most 8 groups of segments, or 18 groups of pieces
+def without_lines(low: Iterable[Floats], sizes: Sizes) -> list[Floats]:
+    """Return the matrices of groups of contrasts without the row and column of the line in time.
+
+    Each matrix is (contrasts, contrasts), and may have any unit.
+    """
+    return [a[size.lines :, size.lines :] for a, size in zip(low, sizes)]
+
+
+@lru_cache(maxsize=48)  # sums have at most 16 groups of segments, or 36 groups of pieces
 def _transformed(size: Size) -> Floats:
     """Return the Fourier transform of the contrasts, (rows, contrasts): real, then imaginary parts.
 
     The covariance of two contrasts is the sum over the rows of the product of two columns, weighted
-    with the eigenvalues of a circulant matrix. The matrix is for twice as many block means.
+    with the eigenvalues of a circulant matrix. The matrix is for twice as many block means. The
+    origin of time is the middle of the segment, so that the transform of symmetric contrasts is
+    real, and the transform of antisymmetric contrasts is imaginary. Parts that are 0 are omitted.
     """
     f = np.fft.rfft(contrasts(size), 2 * size.points, axis=0) / math.sqrt(size.points)
+    f *= np.exp(0.5j * np.pi * (1.0 - 1.0 / size.points) * np.arange(len(f)))[:, None]
     f[[0, -1]] *= math.sqrt(0.5)
-    return np.concatenate([f.real, f.imag])
+    return np.concatenate([f.real] * (size.symmetry >= 0) + [f.imag] * (size.symmetry <= 0))
 
 
 @lru_cache(maxsize=96)  # enough for the processes of a fit and the latest shapes of a search
@@ -164,7 +205,8 @@ def _covariances_of(gamma: Gamma, step: int, sizes: Sizes) -> list[Floats]:
         values = lags[: size.points]
         eigenvalues = np.fft.rfft(np.concatenate([values, values[-1:], values[:0:-1]])).real
         v = _transformed(size)
-        covariances.append(v.T @ (np.concatenate([eigenvalues, eigenvalues])[:, None] * v))
+        # real and imaginary parts have the same eigenvalues
+        covariances.append(v.T @ (np.resize(eigenvalues, len(v))[:, None] * v))
     return covariances
 
 
@@ -176,14 +218,24 @@ class Group(NamedTuple):
     sums: Floats  # (axes, contrasts) sum of the contrasts z over the segments
     gram: Floats  # (axes, contrasts, contrasts) sum of z z' over the segments
 
+    @classmethod
+    def of(cls, size: Size, pieces: Floats) -> Group:
+        """Return the contrasts of segments.
+
+        ``size`` are the numbers that determine the contrasts. ``pieces`` are the block means,
+        (segments, axes, points), in the unit of the samples.
+        """
+        z = pieces @ contrasts(size)
+        return cls(size, len(pieces), z.sum(0), np.einsum('sai,saj->aij', z, z))
+
 
 class Column(NamedTuple):
     """Expectation of the statistics for a process with the coefficient 1."""
 
     power: Floats  # (bins,) expected power
 
-    # covariance of the contrasts of each group, (contrasts, contrasts); the first contrast is a
-    # line in time
+    # covariance of the contrasts of each group, (contrasts, contrasts); if a line in time is among
+    # the contrasts, it is the first
     low: list[Floats]
 
 
@@ -451,9 +503,8 @@ def _groups(
             points, min(int(2.0 * points * step * edge), most_cosines, MOST_CONTRASTS), piece_decay
         )
         if size.high >= 2:
-            z = np.stack(pieces_of_size) @ contrasts(size)
-            gram = np.einsum('sai,saj->aij', z, z)
-            groups.append(Group(size, len(pieces_of_size), z.sum(0), gram))
+            stacked = np.stack(pieces_of_size)
+            groups += [Group.of(half, stacked) for half in size.halves()]
     return step, tuple(groups)
 
 

@@ -278,7 +278,7 @@ class _Contrasts:
             power=self.known[is_known],
             dof=np.full(len(power_columns), KNOWN_DOF),
             used=np.ones(len(power_columns), bool),
-            low=[LowBand(1, np.zeros(0), np.outer(projected, projected))],
+            low=[LowBand(1, np.outer(projected, projected))],
         )
         columns = Columns(power_columns, [basis.T @ self.covariances @ basis])
         return data, data.solve(self.processes, columns)

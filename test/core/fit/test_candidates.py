@@ -15,7 +15,7 @@ from allan_ros.core.simulator import simulate_axis
 
 @pytest.fixture(scope='module')
 def known():
-    """Two segments of different lengths, so that there are two groups of block means."""
+    """Two segments of different lengths; the contrasts of the longer one are divided."""
     return statistics(sums_of(noise(20_000, 3, 1), cuts=(7000,)))
 
 
@@ -26,7 +26,7 @@ def test_moments_are_those_of_a_fit_with_the_candidate_at_zero(known, name):
     (kind,) = (each for each in Candidates(known).kinds if each.first.name == name)
     found = kind.moments(data, fit, LowBandFit.all_of(data, fit))
     some = {0, len(kind.processes) // 2, *kind.slow.tolist()[::5]}
-    assert len(known.groups) == 2 and len(some) > 1
+    assert len(known.groups) > 2 and len(some) > 1
     p = np.append(fit.p, 0.0)
     for i in some:
         process = kind.processes[i]

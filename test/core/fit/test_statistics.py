@@ -14,11 +14,13 @@ from support.sums import sums_of
 
 from allan_ros.core.allan.curve import pooled_spectra
 from allan_ros.core.fit.statistics import (
+    LEAST_DIVIDED,
     Settling,
     Size,
     contrasts,
     settling_power,
     statistics,
+    without_lines,
 )
 from allan_ros.core.noise import RANDOM_TERMS, GaussMarkov, Model
 from allan_ros.core.noise.processes.bounded_walk import BoundedWalk
@@ -78,22 +80,25 @@ def test_expected_spectra_equal_simulated_ones(component):
     assert np.abs(z).max() < 5.6  # Student's t of 150: 1e-4/100 in both tails
 
 
+def _whitened(expected, gram):
+    """Return the squares of the whitened contrasts, summed over the axes."""
+    root = np.linalg.cholesky(expected + 1e-12 * np.trace(expected) * np.eye(len(expected)))
+    return np.diag(np.linalg.solve(root, np.linalg.solve(root, gram).T))
+
+
 @pytest.mark.parametrize('component', COMPONENTS, ids=str)
 def test_expected_covariances_of_contrasts_equal_simulated_ones(component):
     """chi^2 of the squares, whitened with the expected covariance (without the line)."""
     found = known(component)
-    (group,) = found.groups
-    (low,) = found.column(component).low
+    low = without_lines(found.column(component).low, found.sizes)
+    grams = [without_lines(each, found.sizes) for each in zip(*(g.gram for g in found.groups))]
     if component.is_line:  # not Gaussian, and of rank 2: the trace alone
-        trace = np.trace(group.gram[:, 1:, 1:], axis1=1, axis2=2)
+        trace = np.array([sum(map(np.trace, each)) for each in grams])
         error = trace.std() / math.sqrt(AXES) + 1e-9
         if component.frequency * found.step < 1.0:
-            assert abs(trace.mean() - np.trace(low[1:, 1:])) < 3.9 * error
+            assert abs(trace.mean() - sum(map(np.trace, low))) < 3.9 * error
         return
-    expected = low[1:, 1:]
-    root = np.linalg.cholesky(expected + 1e-12 * np.trace(expected) * np.eye(len(expected)))
-    white = np.linalg.solve(root, np.linalg.solve(root, group.gram[:, 1:, 1:].sum(0)).T)
-    eigenvalues = np.diag(white)
+    eigenvalues = np.concatenate([_whitened(*each) for each in zip(low, map(sum, zip(*grams)))])
     low_end, high_end = chi2.ppf([ALARM / 2, 1.0 - ALARM / 2], AXES * len(eigenvalues))
     assert low_end < eigenvalues.sum() < high_end
     corner = ALARM / len(eigenvalues) / 2
@@ -110,15 +115,36 @@ def test_expected_covariances_of_contrasts_equal_simulated_ones(component):
         Size(5, 2, 3.0),
         Size(200, 40, 9.0),
         Size(99, 9, 200.0),
+        *Size(200, 41).halves(),
     ],
 )
 def test_contrasts_are_orthonormal_and_see_only_the_size_of_a_ramp(size: Size):
     v, t = contrasts(size), np.arange(size.points)
+    assert v.shape == (size.points, size.lines + size.high)
     np.testing.assert_allclose(v.T @ v, np.eye(v.shape[1]), atol=1e-12)
     np.testing.assert_allclose(v.T @ np.ones(size.points), 0.0, atol=1e-12)
-    np.testing.assert_allclose(v.T[1:] @ t, 0.0, atol=1e-9)
+    np.testing.assert_allclose(v.T[size.lines :] @ t, 0.0, atol=1e-9)
     if size.decay:
         np.testing.assert_allclose(v.T @ np.exp(-t / size.decay), 0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize('high', [40, 41])
+def test_antisymmetric_and_symmetric_contrasts_are_uncorrelated(high: int):
+    """The contrasts of both halves are the contrasts of the whole, up to their signs."""
+    size = Size(200, high)
+    halves = size.halves()
+    assert [half.symmetry for half in halves] == [-1, 1]
+    whole = contrasts(size)
+    order = [0, *range(1, high + 1, 2), *range(2, high + 1, 2)]
+    both = np.concatenate([contrasts(half) for half in halves], axis=1)
+    np.testing.assert_allclose(np.abs(both.T @ whole[:, order]), np.eye(high + 1), atol=1e-12)
+    np.testing.assert_allclose(contrasts(halves[0]), -contrasts(halves[0])[::-1], atol=1e-12)
+    np.testing.assert_allclose(contrasts(halves[1]), contrasts(halves[1])[::-1], atol=1e-12)
+
+
+@pytest.mark.parametrize('size', [Size(200, LEAST_DIVIDED - 1), Size(200, 40, 9.0)])
+def test_few_contrasts_and_contrasts_beside_a_settling_are_not_divided(size: Size):
+    assert size.halves() == [size]
 
 
 @pytest.mark.parametrize('time', [50.0, 1000.0, 20_000.0])
@@ -141,7 +167,8 @@ def test_a_settling_changes_no_contrast_and_little_of_the_spectra():
     settling = Settling(1500.0, {0: np.array([40.0, 40.0])})
     plain, moved = (statistics(sums_of(each), settling) for each in (y, y + decay))
     for a, b in zip(plain.groups, moved.groups):
-        np.testing.assert_allclose(a.gram[:, 1:, 1:], b.gram[:, 1:, 1:], rtol=1e-4, atol=1e-6)
+        n = a.size.lines
+        np.testing.assert_allclose(a.gram[:, n:, n:], b.gram[:, n:, n:], rtol=1e-4, atol=1e-6)
     left = moved.power * (1.0 - moved.settling)
     unsettled = statistics(sums_of(y))
     certain = moved.settling < 0.5
@@ -155,7 +182,8 @@ def test_an_offset_and_a_ramp_in_each_segment_change_nothing_but_the_line():
     ramp = np.where(np.arange(9000) < 4000, 1e-4 * np.arange(9000), 5.0)[:, None]
     plain, moved = (statistics(sums_of(each, cuts=(4000,))) for each in (y, y + ramp))
     for a, b in zip(plain.groups, moved.groups):
-        np.testing.assert_allclose(a.gram[:, 1:, 1:], b.gram[:, 1:, 1:], rtol=1e-5, atol=1e-9)
+        n = a.size.lines
+        np.testing.assert_allclose(a.gram[:, n:, n:], b.gram[:, n:, n:], rtol=1e-5, atol=1e-9)
 
 
 @pytest.mark.parametrize(('length', 'level'), [(1, 1), (2, 1), (5, 1), (60, 1), (40, 30), (75, 75)])
@@ -180,9 +208,13 @@ def test_the_white_noise_of_replaced_samples_is_expected(length, level):
     for o in range(min(found.octaves, 8)):
         each = ratio[found.octave == o].mean(axis=0)
         assert abs(each.mean() - 1.0) < 4.0 * each.std() / math.sqrt(24), o
-    (group,) = found.groups
-    each = [
-        np.linalg.solve(found.column(White(), a).low[0][1:, 1:], group.gram[a, 1:, 1:]).trace()
-        for a in range(24)
-    ]
-    assert abs(np.mean(each) - group.size.high) < 4.0 * math.sqrt(2.0 * group.size.high / 24)
+    number = sum(size.high for size in found.sizes)
+    each = [_trace_ratio(found, a) for a in range(24)]
+    assert abs(np.mean(each) - number) < 4.0 * math.sqrt(2.0 * number / 24)
+
+
+def _trace_ratio(found, axis):
+    """Return the sum of the squares of the contrasts of an axis, whitened for white noise."""
+    low = without_lines(found.column(White(), axis).low, found.sizes)
+    grams = without_lines([group.gram[axis] for group in found.groups], found.sizes)
+    return sum(float(np.trace(np.linalg.solve(*each))) for each in zip(low, grams))
