@@ -98,7 +98,7 @@ class NoiseAtRest(NamedTuple):
     unknown: float = 0.0
 
 
-class Fit(NamedTuple):
+class DriveFit(NamedTuple):
     """Maximum of the likelihood: the factors s_i, and the value and derivatives of the likelihood.
 
     Attributes
@@ -228,7 +228,9 @@ class DriveLikelihood:
             unknown,
         )
 
-    def fit(self, groups: Groups, causes: tuple[str, ...] = (), start: Fit | None = None) -> Fit:
+    def fit(
+        self, groups: Groups, causes: tuple[str, ...] = (), start: DriveFit | None = None
+    ) -> DriveFit:
         """Return the fit of the factors s_i that maximize the likelihood.
 
         Parameters
@@ -238,12 +240,12 @@ class DriveLikelihood:
             addition, each unknown drift has its own factor. Noise in no group has the factor 1.
         causes : tuple of str
             Names of the calibration errors in the model, keys of `CAUSES`.
-        start : Fit, optional
+        start : DriveFit, optional
             A fit with the same number of factors, from which the search begins.
 
         Returns
         -------
-        Fit
+        DriveFit
             The result of the last step, even if the search has not converged after `MOST_STEPS`
             steps.
         """
@@ -284,7 +286,7 @@ class DriveLikelihood:
 
     def _evaluated(
         self, groups: Groups, causes: tuple[str, ...], sigma: Floats, theta: Floats
-    ) -> Fit:
+    ) -> DriveFit:
         """Return the likelihood and its derivatives; ``theta`` are the logarithms of s_i^2.
 
         ``sigma`` are the prior standard deviations of these logarithms.
@@ -323,9 +325,9 @@ class DriveLikelihood:
                     + np.sum(from_common[i] * from_common[j].T)
                 )
         information = information / 2.0 + np.diag(sigma**-2)
-        return Fit(groups, causes, theta, value, mean, covariance, information, scores / 2.0)
+        return DriveFit(groups, causes, theta, value, mean, covariance, information, scores / 2.0)
 
-    def elements(self, fit: Fit, name: str) -> tuple[Floats, Floats]:
+    def elements(self, fit: DriveFit, name: str) -> tuple[Floats, Floats]:
         """Return the posterior means, (k,), and standard deviations, (k,), of a calibration error.
 
         ``name`` is one of the causes of the fit. The elements of 'rotation' are in rad, the
@@ -338,7 +340,7 @@ class DriveLikelihood:
         deviations = np.sqrt(np.diag(fit.covariance)[columns])
         return CAUSES[name] * fit.mean[columns], CAUSES[name] * deviations
 
-    def ratios(self, fit: Fit) -> Floats:
+    def ratios(self, fit: DriveFit) -> Floats:
         """Return the rotation error and the velocity error of each drive, relative to predictions.
 
         The result is (drives, 2). The fitted effects of the accelerometer bias and of the rotation

@@ -18,7 +18,7 @@ from ..imu import SENSORS
 from ..noise import Model
 from ..stream.drive_recorder import LEAST_DRIVES
 from ..stream.drives import ROTATION, VELOCITY, DriveErrors, cross_matrices
-from .drive_likelihood import CAUSES, DriveLikelihood, Fit, NoiseAtRest
+from .drive_likelihood import CAUSES, DriveFit, DriveLikelihood, NoiseAtRest
 
 Floats = NDArray[np.float64]
 
@@ -58,7 +58,7 @@ KNOWN_SHARE = 0.5
 """An element of a calibration error is resolved if its posterior standard deviation is below this
 share of its prior standard deviation."""
 
-Part = Literal['all', 'white', 'slow']
+NoisePart = Literal['all', 'white', 'slow']
 
 WITH_COMMON_FACTOR = ('gyro_white', 'gyro_slow'), ('accel_white', 'accel_slow')
 """Names of the noise that has a common factor: of the gyro, and of the accelerometer."""
@@ -294,7 +294,9 @@ def noise_in_motion(
     )
 
 
-def _with_causes(data: DriveLikelihood, fit_without_causes: Fit) -> tuple[Fit, dict[str, float]]:
+def _with_causes(
+    data: DriveLikelihood, fit_without_causes: DriveFit
+) -> tuple[DriveFit, dict[str, float]]:
     """Return the fit with all causes, and a dict: cause -> increase of 2 log L by this cause.
 
     The causes are added one by one, as long as the next cause increases 2 log L by `GAIN_CAUSE`.
@@ -316,7 +318,7 @@ def _with_causes(data: DriveLikelihood, fit_without_causes: Fit) -> tuple[Fit, d
     return best, gains
 
 
-def _ratio(data: DriveLikelihood, fit: Fit, sensor: str) -> Estimate:
+def _ratio(data: DriveLikelihood, fit: DriveFit, sensor: str) -> Estimate:
     """Return the rms error of a sensor in all drives, divided by its prediction.
 
     In the prediction, an unknown drift has its fitted size, but not more than its upper limit
@@ -348,7 +350,7 @@ def _ratio(data: DriveLikelihood, fit: Fit, sensor: str) -> Estimate:
 
 
 def _raised(
-    data: DriveLikelihood, fit: Fit, sensor: str, part: Part
+    data: DriveLikelihood, fit: DriveFit, sensor: str, part: NoisePart
 ) -> tuple[Estimate | None, Estimate | None]:
     """Return the factors of white noise and drift of a sensor; None for noise without a factor."""
     half_widths = _quantile(len(fit.scores)) * fit.errors
@@ -373,11 +375,11 @@ def _quantile(drives: int, share: float = 0.975) -> float:
     return float(stdtrit(drives - 2, share))
 
 
-def _part(data: DriveLikelihood, fit: Fit, sensor: str) -> tuple[Part, Fit]:
+def _part(data: DriveLikelihood, fit: DriveFit, sensor: str) -> tuple[NoisePart, DriveFit]:
     """Return which noise of a sensor gets a factor, white noise or drift or both, and the fit."""
     if f'{sensor}_slow' not in data.noise:
         return 'white', fit
-    trials: dict[Part, Fit] = {}
+    trials: dict[NoisePart, DriveFit] = {}
     for part in ('white', 'slow'):
         names = (f'{sensor}_{part}',)
         groups = tuple(names if both[0].startswith(sensor) else both for both in WITH_COMMON_FACTOR)
@@ -389,7 +391,7 @@ def _part(data: DriveLikelihood, fit: Fit, sensor: str) -> tuple[Part, Fit]:
     return 'all', fit
 
 
-def _elements(data: DriveLikelihood, fit: Fit, name: str) -> tuple[Estimate, ...]:
+def _elements(data: DriveLikelihood, fit: DriveFit, name: str) -> tuple[Estimate, ...]:
     """Return the elements of a calibration error with 95 % intervals."""
     means, deviations = data.elements(fit, name)
     half_widths = _quantile(len(fit.scores)) * deviations

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from itertools import groupby, pairwise
 from typing import NamedTuple
 
@@ -168,34 +168,6 @@ class AxisFit:
             for end in (0, 1)
         )
         return low, high
-
-
-def with_scatter(fit: AxisFit, white: float, drift: float) -> AxisFit:
-    """Return a fit with the predictive intervals of N, B and K.
-
-    ``white`` and ``drift`` are `AxisFit.white_scatter` and `AxisFit.drift_scatter`. Upper limits
-    are multiplied by the exponential of the scatter.
-    """
-    noise = dict(fit.noise)
-    for letter, half in (('N', white), ('B', drift), ('K', drift)):
-        if half:
-            noise[letter] = _predicted(noise[letter], half)
-    return replace(fit, noise=noise, white_scatter=white, drift_scatter=drift)
-
-
-def _predicted(estimate: Estimate, half: float) -> Estimate:
-    """Return an estimate with its predictive interval, or with a larger upper limit.
-
-    ``half`` is half of the width of the 95 % interval of the logarithm in another hour.
-    """
-    value, interval, limit = estimate.value, estimate.recording_ci95, estimate.upper95
-    if limit is not None:
-        return replace(estimate, upper95=limit * math.exp(half))
-    if not value or interval is None:
-        return estimate
-    low = math.hypot(math.log(value / interval[0]), half) if interval[0] > 0.0 else math.inf
-    high = math.hypot(math.log(interval[1] / value), half)
-    return replace(estimate, predictive_ci95=(value * math.exp(-low), value * math.exp(high)))
 
 
 def model_of_terms(noise: Mapping[str, Estimate]) -> Model:

@@ -18,6 +18,7 @@ import numpy as np
 from ..allan.at_rest import step_of_sums
 from ..allan.sums import AllanSums, part
 from ..errors import AllanError
+from ..estimate import Estimate
 from ..findings import Finding, finding
 from ..imu import axes_of_sensors
 from ..noise import RANDOM_TERMS, Process
@@ -37,7 +38,7 @@ from .period_levels import (
     scatter,
     white_noise_levels,
 )
-from .result import METHODS, AxisFit, N, NoiseModel, Q, with_scatter
+from .result import METHODS, AxisFit, N, NoiseModel, Q
 from .selection import TOLERANCE
 from .statistics import Statistics, statistics
 
@@ -128,7 +129,9 @@ def fit_stationary(
         spectrum_levels(spectra, of_axis, fits, model.tau0),
         innovation_levels(data, fits, settling_times),
     )
-    return data, replace(_with_scatter(levels, drifts, model), findings=tuple(findings))
+    return data, replace(
+        _with_predictive_intervals(levels, drifts, model), findings=tuple(findings)
+    )
 
 
 def _from_period(sums: AllanSums, at: int) -> AllanSums:
@@ -257,24 +260,6 @@ def _level_finding(
     return finding('level_changed', (axis,), before=n * ratio, value=n, since=since)
 
 
-def _with_scatter(
-    levels: PeriodLevels, drifts: Sequence[PeriodLevels], model: NoiseModel
-) -> NoiseModel:
-    """Return the model with predictive intervals for sensors whose noise varies with time.
-
-    ``levels`` are the levels of the white noise, and ``drifts`` are the levels of the drift in
-    the spectra and in the block means, of which the larger scatter is used.
-    """
-    axes = dict(model.axes)
-    names = list(axes)
-    for indices in axes_of_sensors(names).values():
-        white = scatter(levels, indices)
-        drift = max(scatter(each, indices) for each in drifts)
-        for name in (names[i] for i in indices):
-            axes[name] = with_scatter(axes[name], white, drift)
-    return replace(model, axes=axes)
-
-
 def level_findings(sums: AllanSums, levels: PeriodLevels, model: NoiseModel) -> list[Finding]:
     """Return a finding for each axis with a resolved N that varies between the periods.
 
@@ -292,3 +277,52 @@ def level_findings(sums: AllanSums, levels: PeriodLevels, model: NoiseModel) -> 
             numbers = {'low': n.value * low, 'high': n.value * high, 'value': n.value}
             findings.append(finding('level_changes', (axis,), which=place, **numbers))
     return findings
+
+
+# --- predictive intervals -------------------------------------------------------------------------
+
+
+def _with_predictive_intervals(
+    levels: PeriodLevels, drifts: Sequence[PeriodLevels], model: NoiseModel
+) -> NoiseModel:
+    """Return the model with predictive intervals for sensors whose noise varies with time.
+
+    ``levels`` are the levels of the white noise, and ``drifts`` are the levels of the drift in
+    the spectra and in the block means, of which the larger scatter is used.
+    """
+    axes = dict(model.axes)
+    names = list(axes)
+    for indices in axes_of_sensors(names).values():
+        white = scatter(levels, indices)
+        drift = max(scatter(each, indices) for each in drifts)
+        for name in (names[i] for i in indices):
+            axes[name] = _fit_with_scatter(axes[name], white, drift)
+    return replace(model, axes=axes)
+
+
+def _fit_with_scatter(fit: AxisFit, white: float, drift: float) -> AxisFit:
+    """Return a fit with the predictive intervals of N, B and K.
+
+    ``white`` and ``drift`` are `AxisFit.white_scatter` and `AxisFit.drift_scatter`. Upper limits
+    are multiplied by the exponential of the scatter.
+    """
+    noise = dict(fit.noise)
+    for letter, half in (('N', white), ('B', drift), ('K', drift)):
+        if half:
+            noise[letter] = _predicted(noise[letter], half)
+    return replace(fit, noise=noise, white_scatter=white, drift_scatter=drift)
+
+
+def _predicted(estimate: Estimate, half: float) -> Estimate:
+    """Return an estimate with its predictive interval, or with a larger upper limit.
+
+    ``half`` is half of the width of the 95 % interval of the logarithm in another hour.
+    """
+    value, interval, limit = estimate.value, estimate.recording_ci95, estimate.upper95
+    if limit is not None:
+        return replace(estimate, upper95=limit * math.exp(half))
+    if not value or interval is None:
+        return estimate
+    low = math.hypot(math.log(value / interval[0]), half) if interval[0] > 0.0 else math.inf
+    high = math.hypot(math.log(interval[1] / value), half)
+    return replace(estimate, predictive_ci95=(value * math.exp(-low), value * math.exp(high)))
