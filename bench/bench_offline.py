@@ -219,7 +219,7 @@ def show_table(folder: Path, sizes: list[int], rounds: int) -> None:
 
 def spread(path: Path, processes: int) -> None:
     """Read a bag `RECORDINGS` times with a number of processes, like ``allan analyze --jobs``."""
-    from allan_ros.readers.recorded import ReadJob, read_in_processes, read_in_turn
+    from allan_ros.readers.recording_sums import ReadJob, read_in_processes, read_in_turn
 
     jobs = [ReadJob(str(path))] * RECORDINGS
     for _ in read_in_turn(jobs) if processes == 1 else read_in_processes(jobs, processes):

@@ -32,7 +32,7 @@ from allan_ros.core.noise import Model
 from allan_ros.core.stream.pipeline import ImuStream
 from allan_ros.export import ExportOptions, target_rows
 from allan_ros.nodes.push_plan import Proposal
-from allan_ros.readers.recorded import Provenance
+from allan_ros.readers.recording_sums import Provenance
 from allan_ros.results.analysis import analyze_sums
 from allan_ros.results.motion import with_motion
 

@@ -29,7 +29,7 @@ from allan_ros.core.noise import Model
 from allan_ros.core.simulator import simulate_imu
 from allan_ros.core.stream.pipeline import ImuStream
 from allan_ros.readers.cdr import CovariancePatch, encode_imus
-from allan_ros.readers.recorded import Provenance
+from allan_ros.readers.recording_sums import Provenance
 from allan_ros.results.analysis import analyze_sums
 from allan_ros.results.documents import results_to_document
 

@@ -23,7 +23,7 @@ from allan_ros.core.noise import Model
 from allan_ros.core.simulator import simulate_imu
 from allan_ros.core.stream.pipeline import ImuStream
 from allan_ros.readers import SourceInfo
-from allan_ros.readers.recorded import Provenance
+from allan_ros.readers.recording_sums import Provenance
 from allan_ros.results.analysis import analyze_sums
 
 # The time an example takes depends on the machine, not on the law that is tested.

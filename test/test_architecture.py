@@ -142,7 +142,7 @@ import numpy as np
 from allan_ros.core.imu import ImuBatch
 from allan_ros.core.stream.pipeline import ImuStream
 from allan_ros.results.checkpoint import Checkpoint
-from allan_ros.readers.recorded import Provenance
+from allan_ros.readers.recording_sums import Provenance
 stream = ImuStream()
 stamps = np.arange(20000) * 10**7
 stream.update(ImuBatch(stamps, np.random.default_rng(0).normal(size=(20000, 6))))

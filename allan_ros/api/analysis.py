@@ -26,7 +26,7 @@ from ..core.settings import (
 )
 from ..readers import ReadOptions
 from ..readers.files import PATH
-from ..readers.recorded import (
+from ..readers.recording_sums import (
     Observer,
     ReadJob,
     RecordingSums,

@@ -17,7 +17,7 @@ from ..core.filters.noise_parameters import measure_inflation
 from ..core.settings import LIST, SegmenterSettings, check_range, expect
 from ..readers import Recording, topics_of
 from ..readers.files import PATH
-from ..readers.recorded import Observer, ReadJob, Silent
+from ..readers.recording_sums import Observer, ReadJob, Silent
 from ..results.common_result import CommonResult as PlainCommonResult
 from ..results.common_result import common_of
 from ..results.comparison import REST, RUNNING, compare_runs

@@ -19,14 +19,14 @@ from ..core.imu import sensor_of
 from ..core.settings import SegmenterSettings, check_rate
 from ..export import target_of
 from ..readers import FORMATS, SUFFIXES, ReadOptions
-from ..readers.recorded import (
+from ..readers.recording import METADATA
+from ..readers.recording_sums import (
     ReadJob,
     RecordingSums,
     add_recordings,
     read_in_processes,
     read_in_turn,
 )
-from ..readers.recording import METADATA
 from ..readers.serials import SerialRule
 from ..results.datasheets import load_sensor
 from ..results.documents import RESULTS, load, load_sums

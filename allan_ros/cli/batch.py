@@ -22,7 +22,7 @@ from ..core.findings import Finding
 from ..core.fit.fit_findings import ADVISED_TERMS
 from ..core.imu import SENSORS, SI_UNITS, sensor_of, shown_unit
 from ..readers.files import open_regular, write_atomic
-from ..readers.recorded import ReadJob
+from ..readers.recording_sums import ReadJob
 from ..results.plan import Limits, Plan, load_plan
 from ..results.results import Results
 from ..results.unit_check import DECISION_WORDS, Decision, UnitCheck, check_unit, worst

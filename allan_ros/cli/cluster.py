@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 
 from ..core.errors import AllanError
 from ..core.findings import Finding, finding
-from ..readers.recorded import ReadJob, RecordingSums, read_recording
+from ..readers.recording_sums import ReadJob, RecordingSums, read_recording
 from .console import Console
 
 CONNECT_S = 10.0

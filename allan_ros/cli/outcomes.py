@@ -18,7 +18,7 @@ from ..api.classes import compared
 from ..core.errors import AllanError, one_line
 from ..core.findings import SEVERITIES, Finding
 from ..readers import topics_of
-from ..readers.recorded import ReadJob, RecordingSums, add_recordings, read_recording
+from ..readers.recording_sums import ReadJob, RecordingSums, add_recordings, read_recording
 from ..readers.serials import SerialRule
 from ..results.analysis import analyze_recorded
 from ..results.documents import load, load_sums

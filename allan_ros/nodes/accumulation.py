@@ -26,7 +26,7 @@ from ..core.stream.present_faults import noise_now
 from ..core.stream.transport import TransportMonitor, faults_of
 from ..readers import SourceInfo
 from ..readers.cdr import IMU_TYPE
-from ..readers.recorded import Provenance
+from ..readers.recording_sums import Provenance
 from ..results.checkpoint import Checkpoint, Total
 from ..view.finding_text import finding_line
 from .diagnostics import input_status, status_name

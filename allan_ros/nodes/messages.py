@@ -26,7 +26,7 @@ from ..core.imu import AXES, ImuIdentity
 from ..core.stream.drive_recorder import NO_DRIVES, Drives
 from ..core.stream.health import Means
 from ..readers.files import parse_json
-from ..readers.recorded import with_accel
+from ..readers.recording_sums import with_accel
 from ..results.checkpoint import Total
 from ..results.documents import (
     finding_from_document,

@@ -30,7 +30,7 @@ from ..core.fit.stationary import fit_stationary
 from ..core.imu import AXES
 from ..core.settings import AUTO
 from ..core.stream.health import sums_findings
-from ..readers.recorded import Provenance, RecordingSums
+from ..readers.recording_sums import Provenance, RecordingSums
 from .axis_result import AxisResult
 from .results import Results
 

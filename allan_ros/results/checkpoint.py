@@ -25,7 +25,7 @@ from ..readers.files import (
     to_json,
     write_atomic,
 )
-from ..readers.recorded import Provenance
+from ..readers.recording_sums import Provenance
 from .documents import SUMS_SCHEMA, sums_file_from_document, sums_file_to_document
 
 Total = tuple[tuple[AllanSums, ...], Provenance]

@@ -36,7 +36,7 @@ from ..core.settings import expect
 from ..core.stream.health import LISTED_SEGMENTS, Counts, Segment
 from ..readers import SourceInfo
 from ..readers.files import PATH, read_json, to_json
-from ..readers.recorded import Provenance, RecordingSums
+from ..readers.recording_sums import Provenance, RecordingSums
 from ..version import __version__
 from .analysis import analyze_recorded
 from .axis_result import AxisResult

@@ -14,7 +14,7 @@ from ..core.imu import SENSORS, ImuIdentity
 from ..core.noise import FLICKER_FLOOR
 from ..core.settings import SLOWEST_HZ, check_range
 from ..readers import SourceInfo
-from ..readers.recorded import Provenance
+from ..readers.recording_sums import Provenance
 from .axis_result import AxisResult
 from .datasheets import Datasheet, load_sensor, sensor_names
 from .measured import known_factors

@@ -16,7 +16,7 @@ from ..core.findings import Finding
 from ..core.fit.fit_findings import TOO_SHORT_S, longest_recommended, recommended_duration
 from ..core.fit.result import TemperatureModel
 from ..core.imu import ImuIdentity, sensor_of
-from ..readers.recorded import Provenance, RecordingSums
+from ..readers.recording_sums import Provenance, RecordingSums
 from .axis_result import AxisResult
 from .datasheets import Datasheet, against_datasheet, below_typical, exceeds_limit
 

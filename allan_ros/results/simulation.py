@@ -37,7 +37,7 @@ from ..core.settings import SLOWEST_HZ, check_range, expect, settings_from
 from ..core.simulator import PRESETS, Faults, simulate_imu
 from ..readers import SourceInfo
 from ..readers.files import public, read_yaml, to_json, write_atomic
-from ..readers.recorded import Provenance
+from ..readers.recording_sums import Provenance
 from .axis_result import AxisResult
 from .datasheets import load_sensor
 from .results import Results

@@ -14,7 +14,7 @@ import allan_ros as ar
 from allan_ros.api.analysis import load, load_sums, results_of
 from allan_ros.core.errors import AllanError
 from allan_ros.readers.files import to_json
-from allan_ros.readers.recorded import ReadJob, read_in_processes
+from allan_ros.readers.recording_sums import ReadJob, read_in_processes
 from allan_ros.results.documents import fingerprint, results_to_document, sums_file_to_document
 from allan_ros.results.results import Results
 

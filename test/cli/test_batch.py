@@ -19,7 +19,7 @@ from allan_ros.cli.console import EXIT_FAULT
 from allan_ros.cli.main import main
 from allan_ros.core.imu import ImuBatch
 from allan_ros.readers.cdr import encode_imus
-from allan_ros.readers.recorded import ReadJob, RecordingSums, read_recording
+from allan_ros.readers.recording_sums import ReadJob, RecordingSums, read_recording
 
 QUICK = ('--method', 'paper')
 """The fastest method, for tests that do not depend on the fit."""

@@ -18,7 +18,7 @@ from allan_ros.cli.main import main
 from allan_ros.core.allan.document import sums_to_document
 from allan_ros.core.errors import AllanError
 from allan_ros.core.findings import Finding
-from allan_ros.readers.recorded import (
+from allan_ros.readers.recording_sums import (
     ReadJob,
     RecordingSums,
     read_in_processes,

@@ -15,7 +15,7 @@ from allan_ros.core.imu import AXES, ImuIdentity
 from allan_ros.core.stream.health import Segment
 from allan_ros.readers import SourceInfo
 from allan_ros.readers.files import to_json
-from allan_ros.readers.recorded import Provenance
+from allan_ros.readers.recording_sums import Provenance
 from allan_ros.results.axis_result import AxisResult
 from allan_ros.results.documents import results_from_document, results_to_document
 from allan_ros.results.results import Results

@@ -30,7 +30,7 @@ from allan_ros.core.stream.pipeline import ImuStream
 from allan_ros.core.stream.transport import TransportStatistics
 from allan_ros.nodes import diagnostics
 from allan_ros.nodes.diagnostics import AxisView, axis_status, input_status, metrics_text, node_text
-from allan_ros.readers.recorded import Provenance
+from allan_ros.readers.recording_sums import Provenance
 from allan_ros.results.analysis import analyze_sums
 from allan_ros.results.axis_result import AxisResult
 from allan_ros.view.finding_text import finding_line

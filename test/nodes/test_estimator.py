@@ -14,7 +14,7 @@ import pytest
 pytest.importorskip('rclpy')
 
 from allan_ros.core.stream.pipeline import ImuStream
-from allan_ros.readers.recorded import Provenance
+from allan_ros.readers.recording_sums import Provenance
 from allan_ros.results.analysis import analyze_sums
 from allan_ros.results.documents import results_from_document, results_to_document
 

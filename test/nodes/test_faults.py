@@ -20,7 +20,7 @@ from allan_ros.core.stream.pipeline import ImuStream
 from allan_ros.nodes.messages import bias_of
 from allan_ros.nodes.node_settings import SETTLED_RATIO, RelaySettings
 from allan_ros.nodes.relaying import relay_variances
-from allan_ros.readers.recorded import Provenance
+from allan_ros.readers.recording_sums import Provenance
 from allan_ros.results.analysis import analyze_sums
 from allan_ros.results.results import Results
 

@@ -20,7 +20,7 @@ from allan_ros.core.imu import ImuBatch
 from allan_ros.core.stream.pipeline import ImuStream
 from allan_ros.nodes.messages import Snapshot, replaced_because, replaced_share
 from allan_ros.nodes.shell import LATCHED
-from allan_ros.readers.recorded import Provenance
+from allan_ros.readers.recording_sums import Provenance
 
 OK, WARN, ERROR = b'\x00', b'\x01', b'\x02'
 

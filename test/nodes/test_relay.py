@@ -22,7 +22,7 @@ from allan_ros.core.filters.white_variances import white_variances
 from allan_ros.core.imu import ImuBatch
 from allan_ros.core.stream.pipeline import ImuStream
 from allan_ros.readers.cdr import CovariancePatch, encode_imus, imu_dtype
-from allan_ros.readers.recorded import Provenance
+from allan_ros.readers.recording_sums import Provenance
 from allan_ros.results.analysis import analyze_sums
 from allan_ros.results.documents import results_to_document
 from allan_ros.results.results import Results

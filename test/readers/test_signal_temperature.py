@@ -16,7 +16,7 @@ from allan_ros.cli.main import main
 from allan_ros.core.stream.health import Segment
 from allan_ros.core.stream.signal import Decimated, TemperatureTrace, trace_of
 from allan_ros.readers import open_recording
-from allan_ros.readers.recorded import Provenance, RecordingSums
+from allan_ros.readers.recording_sums import Provenance, RecordingSums
 
 rosbag2 = pytest.importorskip('rosbags.rosbag2')
 typesys = pytest.importorskip('rosbags.typesys')

@@ -18,7 +18,7 @@ from allan_ros.core.allan.sums import AllanSums
 from allan_ros.core.errors import AllanError
 from allan_ros.export import make_export
 from allan_ros.readers.files import to_json
-from allan_ros.readers.recorded import Provenance
+from allan_ros.readers.recording_sums import Provenance
 from allan_ros.results.analysis import analyze_sums
 from allan_ros.results.comparison import (
     compare_runs,

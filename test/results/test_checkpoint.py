@@ -16,7 +16,7 @@ from allan_ros.core.allan.document import sums_to_document
 from allan_ros.core.allan.sums import AllanSums
 from allan_ros.core.imu import ImuBatch
 from allan_ros.core.stream.pipeline import ImuStream
-from allan_ros.readers.recorded import Provenance
+from allan_ros.readers.recording_sums import Provenance
 from allan_ros.results.checkpoint import Checkpoint
 
 

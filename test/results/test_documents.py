@@ -23,7 +23,7 @@ from allan_ros.core.fit.result import Deviation
 from allan_ros.core.noise import PROCESSES, Model, Part
 from allan_ros.core.stream.health import Event, Segment
 from allan_ros.readers.files import MAX_BYTES, read_json, to_json
-from allan_ros.readers.recorded import Provenance
+from allan_ros.readers.recording_sums import Provenance
 from allan_ros.results.documents import (
     load,
     results_from_document,

@@ -13,7 +13,7 @@ from support.numbers import NO_NUMBER, check_numbers, noiseless_sums, noisy_sums
 from allan_ros.core.errors import AllanError
 from allan_ros.export import TARGETS, ExportOptions, make_export
 from allan_ros.readers.files import parse_json, to_json
-from allan_ros.readers.recorded import Provenance
+from allan_ros.readers.recording_sums import Provenance
 from allan_ros.results.analysis import analyze_sums
 from allan_ros.results.documents import (
     results_from_document,

@@ -16,7 +16,7 @@ from allan_ros.core.errors import AllanError
 from allan_ros.core.imu import AXES, ImuBatch
 from allan_ros.core.stream.signal import BIN_STATISTICS, SignalEnvelope, summarize_signal
 from allan_ros.readers import ReadOptions
-from allan_ros.readers.recorded import ReadJob, RecordingSums, add_recordings, read_recording
+from allan_ros.readers.recording_sums import ReadJob, RecordingSums, add_recordings, read_recording
 from allan_ros.results.analysis import analyze_recorded
 from allan_ros.view.finding_text import explained, texts_of
 from allan_ros.view.verdict_text import used_samples
