@@ -102,7 +102,7 @@ class Sqlite3Storage:
                     batch = rows.fetchmany(FETCHED_ROWS) if len(times) < BLOCK_ROWS else []
                 if set(map(type, payloads)) != {bytes}:
                     raise ValueError('a message is not a BLOB')
-                topic_ids = np.array(topics or [*ids] * len(times))
+                topic_ids = np.array(topics) if topics else np.full(len(times), min(ids))
                 yield Messages(topic_ids, np.array(times, np.int64), payloads)
 
     def _query(self, sql: str) -> sqlite3.Cursor:
