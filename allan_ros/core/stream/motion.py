@@ -334,12 +334,9 @@ class MotionGate:
         """
         recent = self._recent.last(self._number % CHECKED_WINDOWS)
         rows = np.concatenate([recent.rows, rows], axis=1) if len(recent) else rows
-        samples_per_check = CHECKED_WINDOWS * self.size
-        groups = (
-            rows[:, end - samples_per_check : end]
-            for end in range(samples_per_check, rows.shape[1] + 1, samples_per_check)
-        )
-        return not all(map(self._rest.floor.has_clipping, groups))
+        size = CHECKED_WINDOWS * self.size
+        groups = rows[:, : rows.shape[1] // size * size].reshape(len(rows), -1, size)
+        return not self._rest.floor.has_clipping(groups)
 
     # --- the noise level --------------------------------------------------------------------------
 

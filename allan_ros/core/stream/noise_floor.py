@@ -338,21 +338,26 @@ class NoiseFloor:
         return gravity_unit(later.gravity) == 'm/s^2' != gravity_unit(self.gravity)
 
     def newly_clipped(self, rows: Floats) -> Flags:
-        """Return which axes, (axes,), are clipped now, but were not when the floor was learned.
+        """Return which axes are clipped now, but were not when the floor was learned.
 
-        ``rows``, (axes, n), are the samples now.
+        ``rows`` are the samples now: (axes, n), or (axes, groups, n) for several groups of n
+        samples. The result is (axes,), or (groups, axes) for several groups.
         """
-        return np.asarray((self.clipped == 0.0) & (clipped_shares(rows) >= CLIPPED_SHARE))
+        return np.asarray((self.clipped == 0.0) & (clipped_shares(rows).T >= CLIPPED_SHARE))
 
     def has_clipping(self, rows: Floats) -> bool:
         """Return whether the same axes are clipped now as when the floor was learned.
 
-        ``rows``, (axes, n), are the samples now.
+        ``rows`` are the samples now: (axes, n), or (axes, groups, n) for several groups of n
+        samples, of which each must have the same clipped axes.
         """
         if self.newly_clipped(rows).any():
             return False
         was_clipped = self.clipped > 0.0
-        return not (extreme_shares(rows[was_clipped]) < UNCLIPPED * self.clipped[was_clipped]).any()
+        if not was_clipped.any():
+            return True
+        shares = extreme_shares(rows[was_clipped]).T
+        return not (shares < UNCLIPPED * self.clipped[was_clipped]).any()
 
     def is_nearer(self, other: NoiseFloor, rows: Floats, windows: Windows) -> bool:
         """Return whether samples, (axes, n), fit this noise floor better than another noise floor.

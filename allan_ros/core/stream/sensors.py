@@ -101,33 +101,34 @@ def clipped_share(samples: Floats) -> float:
 
 
 def _are_extreme(rows: Floats) -> tuple[Flags, Flags]:
-    """Return which samples equal the maximum, and which equal the minimum, of their axis.
+    """Return which samples equal the maximum, and which equal the minimum, of their row.
 
-    ``rows`` and both results are (axes, n).
+    ``rows`` and both results are (..., n).
     """
-    return rows == rows.max(axis=1, keepdims=True), rows == rows.min(axis=1, keepdims=True)
+    return rows == rows.max(axis=-1, keepdims=True), rows == rows.min(axis=-1, keepdims=True)
 
 
 def extreme_shares(rows: Floats) -> Floats:
-    """Return the share of the samples of each axis, (axes, n), at their extreme values, (axes,).
+    """Return the share of the samples of each row, (..., n), at their extreme values, (...).
 
     It is the share at the maximum or the share at the minimum, whichever is larger.
     """
-    counts = [np.count_nonzero(flags, axis=1) for flags in _are_extreme(rows)]
-    return np.asarray(np.maximum(*counts) / rows.shape[1])
+    counts = [np.count_nonzero(flags, axis=-1) for flags in _are_extreme(rows)]
+    return np.asarray(np.maximum(*counts) / rows.shape[-1])
 
 
 def clipped_shares(rows: Floats) -> Floats:
-    """Return the share of the samples of each axis, (axes, n), that are clipped, (axes,).
+    """Return the share of the samples of each row, (..., n), that are clipped, (...).
 
-    A share below `MIN_CLIPPED` is returned as 0.
+    A row contains samples of one axis. A share below `MIN_CLIPPED` is returned as 0.
     """
-    shares = np.zeros(len(rows))
-    # the common case: all axes together have fewer extreme samples than one clipped axis
-    if sum(map(np.count_nonzero, _are_extreme(rows))) < MIN_CLIPPED * rows.shape[1]:
+    shares = np.zeros(rows.shape[:-1])
+    # the common case: all rows together have fewer samples at either extreme than one clipped row
+    least = MIN_CLIPPED * rows.shape[-1]
+    if all(np.count_nonzero(flags) < least for flags in _are_extreme(rows)):
         return shares
-    for axis in np.flatnonzero(extreme_shares(rows) >= MIN_CLIPPED):
-        shares[axis] = clipped_share(rows[axis])
+    for row in zip(*np.nonzero(extreme_shares(rows) >= MIN_CLIPPED)):
+        shares[row] = clipped_share(rows[row])
     return shares
 
 
@@ -150,26 +151,19 @@ class Clipping:
     """
 
     def __init__(self, axes: int) -> None:
-        self._chunk = np.empty((axes, CLIPPED_CHUNK))
-        self._filled = 0  # number of samples in the present chunk
+        self._open = np.empty((axes, 0))  # samples of the incomplete chunk
         self._clipped = np.zeros(axes)
         self.samples = 0
 
     def add(self, rows: Floats) -> None:
         """Add samples, (axes, n)."""
-        while rows.shape[1]:
-            number_missing = CLIPPED_CHUNK - self._filled
-            next_rows, rows = rows[:, :number_missing], rows[:, number_missing:]
-            self._chunk[:, self._filled : self._filled + next_rows.shape[1]] = next_rows
-            self._filled += next_rows.shape[1]
-            if self._filled == CLIPPED_CHUNK:
-                self._examine()
-
-    def _examine(self) -> None:
-        """Count the clipped samples of the complete chunk, and begin another one."""
-        self._filled = 0
-        self.samples += CLIPPED_CHUNK
-        self._clipped += CLIPPED_CHUNK * clipped_shares(self._chunk)
+        rows = np.concatenate([self._open, rows], axis=1)
+        end = rows.shape[1] // CLIPPED_CHUNK * CLIPPED_CHUNK
+        if end:
+            chunks = rows[:, :end].reshape(len(rows), -1, CLIPPED_CHUNK)
+            self._clipped += CLIPPED_CHUNK * clipped_shares(chunks).sum(axis=1)
+            self.samples += end
+        self._open = rows[:, end:].copy()
 
     @property
     def shares(self) -> Floats:
