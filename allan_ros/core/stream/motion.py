@@ -273,33 +273,35 @@ class MotionGate:
         """Classify the first ``samples`` samples, in windows of ``size``.
 
         If all windows up to the end of the block of `BLOCK_WINDOWS` are at rest at the present
-        level, they are classified together. Otherwise, only the windows up to the next check are
-        classified together, because the check may begin another level.
+        level, they are classified together, and no other level can fit them better. Otherwise, only
+        the windows up to the next check are classified together, because the check may begin
+        another level.
         """
         position = 0
         while position < samples:
             number_ready = (samples - position) // size
-            number_to_check = min(number_ready, CHECKED_WINDOWS - self._number % CHECKED_WINDOWS)
-            number_together = (
-                min(number_ready, BLOCK_WINDOWS - self._number)
-                if self._is_settled
-                else number_to_check
+            number = min(number_ready, CHECKED_WINDOWS - self._number % CHECKED_WINDOWS)
+            number_together = min(number_ready, BLOCK_WINDOWS - self._number)
+            is_unchanged = (
+                number_together > number
+                and self._is_settled
+                and self._pass(buffered, position, number_together, size, only_at_rest=True)
             )
-            if self._rest.motion is not None or not self._pass(
-                buffered, position, number_together, size, number_together > number_to_check
-            ):
-                self._pass(buffered, position, number_to_check, size)
-                number_together = number_to_check
-            position += number_together * size
+            if is_unchanged:
+                number = number_together
+            else:
+                self._pass(buffered, position, number, size)
+            position += number * size
             if size == self.size:
-                self._number += number_together
+                self._number += number
                 if self._number % CHECKED_WINDOWS == 0:
-                    self._check()
+                    self._check(is_unchanged)
 
     @property
     def _is_settled(self) -> bool:
-        """Whether a window at rest can only belong to the present level."""
-        return self._levels.other is None and bool(self._rest.floor.variance.all())
+        """Whether a window at rest can only belong to the present level, and the IMU is at rest."""
+        is_only_level = self._levels.other is None and bool(self._rest.floor.variance.all())
+        return is_only_level and self._rest.motion is None
 
     def _pass(
         self, buffered: ImuBatch, begin: int, number: int, size: int, only_at_rest: bool = False
@@ -340,8 +342,10 @@ class MotionGate:
 
     # --- the noise level --------------------------------------------------------------------------
 
-    def _check(self) -> None:
+    def _check(self, is_unchanged: bool) -> None:
         """Change the noise level if another one fits the latest windows better; update the floor.
+
+        ``is_unchanged`` tells that the present level is known to fit best.
 
         Changed noise may be the noise of the IMU from now on, or be due to a fault. It is regarded
         as normal when it has lasted longer than the noise before, and, if the noise decreased, for
@@ -352,11 +356,13 @@ class MotionGate:
         shortest_s = FAULTY_S if is_fault else 0.0
         if levels.lasts_longer and levels.present.samples * self._period_s >= shortest_s:
             self._levels.accept()
-        if not self._change_level():
+        if not is_unchanged:
+            if self._change_level():
+                return
             self._find_unit_change()
-            if self._number == BLOCK_WINDOWS:
-                self._update_floor()
-        self._number %= BLOCK_WINDOWS
+        if self._number == BLOCK_WINDOWS:
+            self._update_floor()
+            self._number = 0
 
     def _update_floor(self) -> None:
         """Update the noise floor from the latest block of windows, if the result is plausible."""

@@ -4,11 +4,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..imu import Flags, Floats, ImuBatch
 from ..memory import aligned
@@ -53,7 +54,7 @@ class Windows:
     @classmethod
     def joined(cls, parts: Iterable[Windows]) -> Windows:
         """Concatenate the windows of at least one part."""
-        return cls(np.concatenate([part.values for part in parts], axis=2))
+        return cls(_concatenated([part.values for part in parts]))
 
 
 def idle_share(rows: Floats, size: int) -> Floats:
@@ -166,7 +167,7 @@ class RecentWindows:
     @property
     def rows(self) -> Floats:
         """The samples of all windows, (axes, n), in the unit of the messages."""
-        return np.concatenate([part.samples.rows for part in self._parts], axis=1)
+        return _concatenated([part.samples.rows for part in self._parts])
 
     @property
     def windows(self) -> Windows:
@@ -176,18 +177,18 @@ class RecentWindows:
     @property
     def still(self) -> Flags:
         """Which windows are at rest, (k,)."""
-        return np.concatenate([np.zeros(0, bool), *(part.still for part in self._parts)])
+        return _concatenated([part.still for part in self._parts] or [np.zeros(0, bool)])
 
     @property
     def found(self) -> WindowClass:
         """The classification of all windows."""
-        return WindowClass(*map(np.concatenate, zip(*(part.found for part in self._parts))))
+        return WindowClass(*map(_concatenated, zip(*(part.found for part in self._parts))))
 
     @property
     def can_be_larger_noise(self) -> bool:
         """Whether the noise may be larger: no window is at rest, has less noise, or is foreign."""
         found = self.found
-        return not (self.still | found.decreased | found.foreign).any()
+        return not (self.still.any() or (found.decreased | found.foreign).any())
 
     @property
     def is_steady(self) -> bool:
@@ -212,3 +213,8 @@ class RecentWindows:
     def began_ns(self) -> int:
         """Stamp of the first sample in ns."""
         return int(self._parts[0].samples.stamps_ns[0])
+
+
+def _concatenated(arrays: Sequence[NDArray[Any]]) -> NDArray[Any]:
+    """Return at least one array, concatenated along the last dimension; one array is not copied."""
+    return arrays[0] if len(arrays) == 1 else np.concatenate(arrays, axis=-1)
