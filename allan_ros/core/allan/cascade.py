@@ -4,11 +4,11 @@
 
 Algorithm
 ---------
-A point of level j is the sum of 2^j samples. When a block of 512 to 4096 points is full:
+A point of level j is the sum of 2^j samples. When a block of 512 to 8192 points is full:
 
-- the second differences that end in the block are squared and summed, at the averaging factors of
-  the level,
-- the power of the spectral blocks that end in the block is added,
+- the second differences that end in each part of the block are squared and summed, at the averaging
+  factors of the level,
+- the power of the spectral blocks that end in each part of the block is added,
 - the sum of each pair of points is passed to level j + 1.
 
 Blocks are counted from the start of the segment, so the sums are the same, bit for bit, for any
@@ -25,7 +25,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import NamedTuple
 
 import numpy as np
@@ -39,11 +39,15 @@ Floating = NDArray[np.floating]
 Flags = NDArray[np.bool_]
 Ints = NDArray[np.int64]
 
-FIRST_BLOCK, BLOCK = 512, 4096
-"""Smallest and largest number of points of a block of level 0. The blocks of a segment have 512,
-512, 1024, 2048, 4096, 4096 ... points. In long blocks, the overhead of numpy calls is small, and
-4096 points still fit into the cache. Blocks of higher levels have at most 2048 points, so that the
-time of their sums is known more accurately."""
+FIRST_BLOCK, BLOCK = 512, 8192
+"""Smallest and largest number of points of a block. The blocks of a segment have 512, 512, 1024,
+2048, 4096, 8192, 8192 ... points. In long blocks, the overhead of numpy calls is small, and 8192
+points still fit into the cache."""
+
+FIRST_PART, PART = 4096, 2048
+"""Largest number of points in a part of a block of level 0, and of a higher level. Each part has
+separate sums, so that the time of the sums is known more accurately. Both numbers are multiples of
+every half spectral block."""
 
 MAX_INTERPOLATED = 0.75
 """Largest share of interpolated samples in a spectral block; a block with a larger share, as during
@@ -62,7 +66,7 @@ class CascadeLevel:
     """One level of the cascade: its decimation, averaging factors and octave spectra."""
 
     stride: int  # samples per point
-    block: int  # largest number of points per block
+    part: int  # largest number of points in a part of a block, which has separate sums
     factors: tuple[int, ...]  # averaging factors in units of the stride
     groups: tuple[range, ...]  # groups of octaves; the octaves of a group have equally many bins
 
@@ -77,9 +81,9 @@ def level_of(j: int) -> CascadeLevel:
     """Return the averaging factors and the octaves of level j."""
     if j == 0:
         groups = range(1), range(1, SAMPLE_OCTAVES)
-        return CascadeLevel(1, BLOCK, FIRST_FACTORS + LEVEL_FACTORS, groups)
+        return CascadeLevel(1, FIRST_PART, FIRST_FACTORS + LEVEL_FACTORS, groups)
     o = SAMPLE_OCTAVES + j - 1
-    return CascadeLevel(1 << j, BLOCK // 2, LEVEL_FACTORS, (range(o, o + 1),))
+    return CascadeLevel(1 << j, PART, LEVEL_FACTORS, (range(o, o + 1),))
 
 
 @dataclass(frozen=True)
@@ -123,12 +127,12 @@ class LevelSums:
 
 @dataclass(frozen=True)
 class Block:
-    """Sums over a block of one level, which is full or at the end of the segment."""
+    """Sums over a part of a block of one level, which is full or at the end of the segment."""
 
-    begin: int  # index of the first sample of the block in the segment
+    begin: int  # index of the first sample of the part in the segment
     sums: LevelSums
-    # samples of a block of level 0 minus the reference, (axes + 1, n); the last row is 1 for
-    # interpolated samples, else 0. The array is empty for a block of a higher level
+    # samples of a part of level 0 minus the reference, (axes + 1, n); the last row is 1 for
+    # interpolated samples, else 0. The array is empty for a higher level
     samples: Floats
 
 
@@ -203,11 +207,11 @@ def _layout(octaves: range, axes: int, n: int) -> _Layout:
 
 
 class _GroupSums(NamedTuple):
-    """Power of the spectral blocks of a group of octaves that end in a chunk of points."""
+    """Power of the spectral blocks of a group of octaves that end in each part of some points."""
 
-    power: Floats  # (bins of all octaves, axes), in the squared unit of the samples
-    blocks: list[int]  # number of spectral blocks of each octave
-    pairs: list[int]  # number of pairs of overlapping spectral blocks of each octave
+    power: Floats  # (parts, bins of all octaves, axes), in the squared unit of the samples
+    blocks: Ints  # (parts, octaves) number of spectral blocks
+    pairs: Ints  # (parts, octaves) number of pairs of overlapping spectral blocks
     last: _HalfBlocks  # the last half block of each octave
 
 
@@ -221,8 +225,8 @@ class _RunningLevel:
 
     def __init__(self, level: int, rows: int) -> None:
         self.level = level
-        self.points = aligned((rows, _KEPT + level_of(level).block))
-        self.points[:] = 0.0
+        self.points = aligned((rows, _KEPT + BLOCK))
+        self.points[:, :_KEPT] = 0.0
         self.fill = 0
         self.summed = 0  # number of points in the earlier blocks
         # for samples, the rounding errors of float32 are much smaller than the noise; for sums over
@@ -235,7 +239,7 @@ class _RunningLevel:
     @property
     def size(self) -> int:
         """Number of points at which the current block is full."""
-        return min(max(self.summed, FIRST_BLOCK), level_of(self.level).block)
+        return min(max(self.summed, FIRST_BLOCK), BLOCK)
 
     @property
     def current(self) -> Floats:
@@ -248,77 +252,92 @@ class _RunningLevel:
         self.fill += number
         return self.points[:, begin : begin + number]
 
-    def close(self) -> LevelSums:
-        """Return the sums over the full block, and begin a new block."""
-        sums, self.halves = self.sums_of(self.points[:, : _KEPT + self.fill])
+    def close(self) -> list[Block]:
+        """Return the parts of the full block with their sums, and begin a new block."""
+        blocks, self.halves = self.blocks_of(self.points[:, : _KEPT + self.fill])
         self.points[:, :_KEPT] = self.points[:, self.fill : self.fill + _KEPT]
         self.summed += self.fill
         self.fill = 0
-        return sums
+        return blocks
 
-    def sums_of(self, points: Floats) -> tuple[LevelSums, list[_HalfBlocks]]:
-        """Return the sums over a block, and the last half block of each octave in it.
+    def blocks_of(self, points: Floats) -> tuple[list[Block], list[_HalfBlocks]]:
+        """Return the parts of a block with their sums, and the last half block of each octave.
 
         ``points`` are (rows, n): `_KEPT` earlier points, then the points of the block.
         """
-        level = level_of(self.level)
-        squares, group_squares, numbers = _second_differences(
-            points[:-1], self.summed, level.factors
-        )
-        block = points[:, _KEPT:]
+        level, block = level_of(self.level), points[:, _KEPT:]
+        squares, numbers = _second_differences(points[:-1], self.summed, level)
         (samples,) = _samples.arrays(self.kind, (len(block) - 1, block.shape[1]))
+        interpolated = block[-1] if block[-1].any() else None
         with np.errstate(over='ignore', invalid='ignore'):
             # samples above 3e38 overflow float32: no sensor has such samples, and the fit excludes
             # an axis with them
             samples[...] = block[:-1]
             spectra = [
-                _group_sums(samples, block[-1], group, before)
+                _group_sums(samples, interpolated, group, before, level.part)
                 for group, before in zip(level.groups, self.halves)
             ]
-        values = [*squares, *group_squares, *(s.power for s in spectra)]
-        counts = [*numbers, *(b for s in spectra for b in s.blocks)]
-        counts += [p for s in spectra for p in s.pairs]
-        sums = LevelSums(self.level, np.concatenate(values), np.array(counts, np.int64))
-        return sums, [s.last for s in spectra]
+        values = np.concatenate([squares, *(s.power for s in spectra)], axis=1)
+        counts = [numbers, *(s.blocks for s in spectra), *(s.pairs for s in spectra)]
+        sums = map(partial(LevelSums, self.level), values, np.concatenate(counts, axis=1))
+        blocks = [
+            Block(
+                (self.summed + at) << self.level,
+                each,
+                block[:, :0] if self.level else block[:, at : at + level.part],
+            )
+            for at, each in zip(range(0, block.shape[1], level.part), sums)
+        ]
+        return blocks, [s.last for s in spectra]
 
 
 def _group_sums(
-    samples: Floating, interpolated: Floats, octaves: range, before: _HalfBlocks
+    samples: Floating,
+    interpolated: Floats | None,
+    octaves: range,
+    before: _HalfBlocks,
+    part: int,
 ) -> _GroupSums:
     """Return the power of the spectral blocks of a group of octaves that end in n points.
 
-    ``samples``, (axes, n), are the points of a level: samples or sums over samples.
-    ``interpolated``, (n,), is the number of interpolated samples in each point, and ``before`` are
-    the last half blocks before these points.
+    ``samples``, (axes, n), are the points of a level: samples or sums over samples. Each ``part``
+    points have separate sums. ``interpolated``, (n,), is the number of interpolated samples in each
+    point; None if no sample is interpolated. ``before`` are the last half blocks before the points.
     """
     octave_count, axes, columns = before.early.shape
     layout, last = _layout(octaves, *samples.shape), before.copy()
-    amplitudes = _amplitudes(samples, layout, before.early, last.early)
-    all_blocks_are_used = not (interpolated.any() or before.interpolated.any())
-    blocks, pairs = [0] * octave_count, [0] * octave_count
-    squares = np.zeros(before.early.shape)
+    all_squares = _squared_amplitudes(samples, layout, before.early, last.early)
+    all_blocks_are_used = interpolated is None and not before.interpolated.any()
+    parts = -(-samples.shape[1] // part)
+    sums = np.zeros((octave_count, parts, axes, columns))
+    blocks, pairs = np.zeros((2, parts, octave_count), np.int64)
     for i, (o, half, number, begin, end) in enumerate(layout.octaves):
-        block_amplitudes = amplitudes[begin:end].reshape(axes, number, columns)
-        if all_blocks_are_used:
-            blocks[i], pairs[i] = number, number - (not before.used[i])
-            last.used[i] = True
-        else:
-            counts = interpolated[: number * half].reshape(number, half).sum(axis=1)
+        squares = all_squares[begin:end].reshape(axes, number, columns)
+        # the first flag is the flag of the last block before these points
+        is_used = np.ones(number + 1, bool)
+        is_used[0] = before.used[i]
+        if not all_blocks_are_used:
+            points = np.zeros(samples.shape[1]) if interpolated is None else interpolated
+            counts = points[: number * half].reshape(number, half).sum(axis=1)
             counts = np.concatenate([before.interpolated[i : i + 1], counts])
-            is_used = counts[:-1] + counts[1:] <= MAX_INTERPOLATED * octave(o).length
-            block_amplitudes = block_amplitudes[:, is_used]
-            # the first flag is the flag of the last block before these points
-            is_used = np.concatenate([before.used[i : i + 1], is_used])
-            blocks[i] = int(np.count_nonzero(is_used[1:]))
-            pairs[i] = int(np.count_nonzero(is_used[1:] & is_used[:-1]))
-            last.interpolated[i], last.used[i] = counts[-1], is_used[-1]
-        np.einsum('akc,akc->ac', block_amplitudes, block_amplitudes, out=squares[i])
-    power = squares[:, :, : columns // 2] + squares[:, :, columns // 2 :]
-    return _GroupSums(power.transpose(0, 2, 1).reshape(-1, axes), blocks, pairs, last)
+            is_used[1:] = counts[:-1] + counts[1:] <= MAX_INTERPOLATED * octave(o).length
+            last.interpolated[i] = counts[-1]
+        last.used[i] = is_used[-1]
+        is_pair, weights = is_used[1:] & is_used[:-1], is_used[1:].astype(float)
+        for k in range(parts):
+            in_part = slice(k * part // half, (k + 1) * part // half)
+            blocks[k, i] = np.count_nonzero(is_used[1:][in_part])
+            pairs[k, i] = np.count_nonzero(is_pair[in_part])
+            # this product takes less time than a sum over the second dimension
+            np.matmul(weights[in_part], squares[:, in_part], out=sums[i, k])
+    power = sums[..., : columns // 2] + sums[..., columns // 2 :]
+    return _GroupSums(power.transpose(1, 0, 3, 2).reshape(parts, -1, axes), blocks, pairs, last)
 
 
-def _amplitudes(samples: Floating, layout: _Layout, before: Floating, last: Floating) -> Floats:
-    """Return the amplitudes of the blocks that end with each half block, (rows, 2 * bins).
+def _squared_amplitudes(
+    samples: Floating, layout: _Layout, before: Floating, last: Floating
+) -> Floats:
+    """Return the squared amplitudes of the blocks that end with each half block, (rows, 2 * bins).
 
     ``before``, (octaves, axes, 2 * bins), is the product of the half block before the first sample
     with the tapers of the first half. The same product of the last half block is written to
@@ -339,21 +358,19 @@ def _amplitudes(samples: Floating, layout: _Layout, before: Floating, last: Floa
         before[:octave_count].reshape(-1, columns) + second_half[layout.firsts]
     )
     last[:octave_count] = first_half[layout.lasts].reshape(octave_count, -1, columns)
-    if amplitudes.itemsize == 8:
-        return amplitudes
-    in_float64 = products.view('f8')  # squares of large samples exceed float32
-    in_float64[...] = amplitudes
-    return in_float64
+    # the products are not needed any more, and squares of large samples exceed float32
+    squares = products.reshape(-1).view('f8')[: amplitudes.size].reshape(amplitudes.shape)
+    np.square(amplitudes, out=squares, dtype='f8')
+    return squares
 
 
-def _second_differences(
-    points: Floats, summed: int, factors: tuple[int, ...]
-) -> tuple[list[Floats], list[Floats], list[int]]:
+def _second_differences(points: Floats, summed: int, level: CascadeLevel) -> tuple[Floats, Ints]:
     """Return sums of squares and numbers of all and of the non-overlapping second differences.
 
-    The first list has the sums of squares of all differences, (1, axes), for each factor, and the
-    second list has the sums of squares of the non-overlapping differences. The last list has first
-    the numbers of all differences, then the numbers of the non-overlapping differences.
+    The sums, (parts, 2 * factors, axes), and the numbers, (parts, 2 * factors), are first for all
+    differences at each factor that end in each part of the block, then for the non-overlapping
+    differences. The first part contains the non-overlapping differences of the complete block,
+    because they are not divided into periods.
 
     ``points``, (axes, `_KEPT` + n), are `_KEPT` earlier points, of which only the last ``summed``
     are in the segment, and the n points of a block. Only differences that end in the block are
@@ -363,18 +380,22 @@ def _second_differences(
     x = points.reshape(-1)  # operations on one long row take less time than on short ones
     d, *work = _work.arrays('f8', *3 * [x.shape])
     d_by_axis = d.reshape(axes, columns)
-    squares, group_squares, numbers, group_numbers = [], [], [], []
-    for f, sums in zip(factors, _sums_over(factors, x, *work)):
-        first = _KEPT - min(summed, 2 * f - 1)
-        end = max(columns - 2 * f + 1, first)
+    ends = [*range(_KEPT + level.part, columns, level.part), columns]  # ends of the parts
+    factors = level.factors
+    squares = np.zeros((len(ends), 2 * len(factors), axes))
+    numbers = np.zeros((len(ends), 2 * len(factors)), np.int64)
+    for i, (f, sums) in enumerate(zip(factors, _sums_over(factors, x, *work))):
         size = max(x.size - 2 * f + 1, 0)
         np.subtract(sums[f : f + size], sums[:size], out=d[:size])
-        squares.append(_squares(d_by_axis[:, first:end]))
-        numbers.append(end - first)
-        non_overlapping = d_by_axis[:, first + -(summed - _KEPT + first) % f : end : f]
-        group_squares.append(_squares(non_overlapping) if f > 1 else squares[-1])
-        group_numbers.append(non_overlapping.shape[1])
-    return squares, group_squares, numbers + group_numbers
+        begin = first = _KEPT - min(summed, 2 * f - 1)
+        for part, end in enumerate(ends):
+            after = max(end - 2 * f + 1, first)  # first difference that ends after the part
+            numbers[part, i], squares[part, i] = after - begin, _squares(d_by_axis[:, begin:after])
+            begin = after
+        non_overlapping = d_by_axis[:, first + -(summed - _KEPT + first) % f : begin : f]
+        i += len(factors)
+        numbers[0, i], squares[0, i] = non_overlapping.shape[1], _squares(non_overlapping)
+    return squares, numbers
 
 
 def _sums_over(
@@ -398,8 +419,8 @@ def _sums_over(
 
 
 def _squares(d: Floats) -> Floats:
-    """Return the sum of squares of each row of an array, (1, rows), by one dot product per row."""
-    return np.asarray(np.matmul(d[:, None, :], d[:, :, None])[:, 0, 0])[None]
+    """Return the sum of squares of each row of an array, (rows,), by one dot product per row."""
+    return np.asarray(np.matmul(d[:, None, :], d[:, :, None])[:, 0, 0])
 
 
 class Cascade:
@@ -417,7 +438,7 @@ class Cascade:
         self._levels = [_RunningLevel(0, len(reference) + 1)]
 
     def feed(self, samples: Floats, interpolated: NDArray[np.bool_] | None) -> Iterator[Block]:
-        """Add samples, (axes, n), and yield the blocks that become full.
+        """Add samples, (axes, n), and yield the parts of the blocks that become full.
 
         The samples have the unit of the reference. ``interpolated``, (n,), flags the interpolated
         samples; None means that there are none.
@@ -435,7 +456,7 @@ class Cascade:
                 yield from self._close()
 
     def _close(self) -> Iterator[Block]:
-        """Yield the full blocks, from level 0 on, and begin new blocks."""
+        """Yield the parts of the full blocks, from level 0 on, and begin new blocks."""
         for j in itertools.count():
             level = self._levels[j]
             if level.fill < level.size:
@@ -445,10 +466,13 @@ class Cascade:
                 self._levels.append(_RunningLevel(j + 1, len(points)))
             pair_sums = self._levels[j + 1].extend(level.fill // 2)
             np.add(points[:, ::2], points[:, 1::2], out=pair_sums)
-            yield Block(level.summed << j, level.close(), points[:, :0] if j else points)
+            yield from level.close()
 
     def open_blocks(self) -> Iterator[Block]:
-        """Yield the blocks that are not full, as if the segment ended; the state is unchanged."""
+        """Yield the parts of the blocks that are not full, as if the segment ended.
+
+        The state is unchanged.
+        """
         # points from the open block of the level below
         new_points = self._levels[0].points[:, :0]
         for j in itertools.count():
@@ -458,7 +482,6 @@ class Cascade:
             points = np.concatenate([level.points[:, : _KEPT + level.fill], new_points], axis=1)
             block = points[:, _KEPT:]
             if block.shape[1]:
-                sums = level.sums_of(points)[0]
-                yield Block(level.summed << j, sums, block[:, :0] if j else block)
+                yield from level.blocks_of(points)[0]
             paired_points = block[:, : block.shape[1] // 2 * 2]
             new_points = paired_points[:, ::2] + paired_points[:, 1::2]

@@ -16,6 +16,7 @@ The sums of squares and the powers of periods are rounded to 21 significant bits
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import reduce
@@ -197,7 +198,8 @@ def pair_to_merge(begins: Sequence[int], length: int) -> tuple[float, int]:
     relative_lengths = [
         (end - begin) / min(end, length - begin) for begin, end in zip(begins, ends[1:])
     ]
-    return min(((r, i) for i, r in enumerate(relative_lengths)), default=(float('inf'), 0))
+    smallest = min(relative_lengths, default=math.inf)
+    return smallest, relative_lengths.index(smallest) if relative_lengths else 0
 
 
 def bounded(recordings: Iterable[RecordedPeriods]) -> tuple[RecordedPeriods, ...]:

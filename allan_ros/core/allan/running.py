@@ -7,6 +7,7 @@ from __future__ import annotations
 import bisect
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -66,21 +67,17 @@ class _RunningPeriod:
         return replace(self, samples=samples, total=total).plus(later.levels)
 
 
-class _OpenSegment:
-    """Cascade of the current segment, and sums over blocks of ``step`` samples for its block means.
+class _SegmentSums(NamedTuple):
+    """Sums over blocks of ``step`` samples of a segment, from which its block means are computed.
 
-    The last of these blocks may have fewer samples.
+    ``sums`` are (axes, blocks). The last block may have fewer samples.
     """
 
-    def __init__(self, first: Floats, start_ns: int, age: int) -> None:
-        self.age = age  # age of the first sample of the segment
-        self.start_ns = self.last_ns = start_ns
-        self.cascade = Cascade(first)
-        # sums over blocks of samples, (axes, blocks), and number of samples per block
-        self.sums, self.step = np.zeros((len(first), 0)), 1
+    sums: Floats
+    step: int
 
-    def extended(self, block: Block) -> tuple[Floats, int]:
-        """Return the sums and the step after the samples of a block of level 0 were added.
+    def plus(self, block: Block) -> _SegmentSums:
+        """Return the sums after the samples of a block of level 0 were added.
 
         The step doubles if there are too many sums.
         """
@@ -95,7 +92,17 @@ class _OpenSegment:
         sums = np.concatenate([sums, complete_sums, incomplete_sum], axis=1)
         while (block.begin + samples.shape[1]) // step > SEGMENT_MEANS:
             sums, step = np.add.reduceat(sums, range(0, sums.shape[1], 2), axis=1), 2 * step
-        return sums, step
+        return _SegmentSums(sums, step)
+
+
+class _OpenSegment:
+    """Cascade of the current segment, and sums over blocks of samples for its block means."""
+
+    def __init__(self, first: Floats, start_ns: int, age: int) -> None:
+        self.age = age  # age of the first sample of the segment
+        self.start_ns = self.last_ns = start_ns
+        self.cascade = Cascade(first)
+        self.sums = _SegmentSums(np.zeros((len(first), 0)), 1)
 
 
 @dataclass(frozen=True)
@@ -136,13 +143,13 @@ class _State:
 
     def with_end(self, segment: _OpenSegment) -> _State:
         """Return the state after the end of the current segment."""
-        state, sums, step = self, segment.sums, segment.step
+        state, segment_sums = self, segment.sums
         for block in segment.cascade.open_blocks():
             if block.sums.level == 0:
-                sums, step = segment.extended(block)
+                segment_sums = segment_sums.plus(block)
             state = state.with_block(segment, block)
         shift = segment.cascade.reference - self.reference
-        samples = segment.cascade.samples
+        samples, (sums, step) = segment.cascade.samples, segment_sums
         values = rounded(sums[:, : samples // step].T / step + shift, MEAN_BYTES)
         means = BlockMeans(segment.age, segment.start_ns, samples, step, values)
         return replace(
@@ -204,7 +211,7 @@ class RunningSums:
         for block in segment.cascade.feed(values.T, interpolated):
             self._state = self._state.with_block(segment, block)
             if block.sums.level == 0:
-                segment.sums, segment.step = segment.extended(block)
+                segment.sums = segment.sums.plus(block)
         segment.last_ns = last_ns
 
     def end_segment(self) -> None:

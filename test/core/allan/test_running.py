@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from support.allan_table import allan_table, grid_for
 from support.sums import TICK_NS, feed, noise, sums_of
 
-from allan_ros.core.allan.cascade import BLOCK, FIRST_BLOCK
+from allan_ros.core.allan.cascade import BLOCK, FIRST_BLOCK, FIRST_PART
 from allan_ros.core.allan.grid import counts, octave, overlap, tapers
 from allan_ros.core.allan.periods import MAX_MEANS, MAX_PERIODS, totals
 from allan_ros.core.allan.running import RunningSums
@@ -78,10 +78,10 @@ def test_periods_add_up_to_the_whole(cuts):
 def test_periods_are_short_at_both_ends_at_any_length():
     for n in (500_000, 1_000_000):
         lengths = np.array([p.samples for p in sums_of(np.zeros((n, 1))).periods])
-        assert lengths[0] == FIRST_BLOCK and lengths[-1] <= BLOCK
+        assert lengths[0] == FIRST_BLOCK and lengths[-1] <= FIRST_PART
         ends = np.cumsum(lengths)
         distance = np.minimum(ends, n - ends + lengths)
-        far = distance > 8 * BLOCK
+        far = distance > 8 * FIRST_PART
         assert far.sum() > 8 and np.all(lengths[far] <= 0.5 * distance[far])
 
 
