@@ -372,9 +372,8 @@ def _next_term(view: AxisView) -> str:
     if view.result is None or view.method != 'likelihood':
         return ''
     limits = {c.quantity: c.limit for c in view.comparisons if c.tau is None}
-    recordings = view.sums.recordings if view.sums else ()
-    most_samples = max((m.samples for r in recordings for m in r.means), default=0)
-    longest_segment_s = most_samples * view.result.tau0
+    longest_samples = view.sums.longest if view.sums else 0
+    longest_segment_s = longest_samples * view.result.tau0
     advice = recommended_duration(view.result.fit, longest_segment_s, limits)
     if advice is None:
         return ''

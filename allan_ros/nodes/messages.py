@@ -205,7 +205,7 @@ def _lost(old: AllanSums, new: AllanSums) -> int:
 def _samples_by_start(sums: AllanSums) -> Counter[int]:
     """Return stamp in ns of the start -> number of samples, for each listed segment."""
     samples: Counter[int] = Counter()
-    for segment in (m for r in sums.recordings for m in r.means):
+    for segment in sums.means:
         samples[segment.start_ns] += segment.samples
     return samples
 

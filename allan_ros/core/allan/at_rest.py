@@ -293,10 +293,9 @@ def step_of_sums(sums: AllanSums, axis: int, deviation: float) -> float | None:
     Only the sums up to the end of each block mean of the longest segment are considered.
     ``deviation`` is as for `common_step`.
     """
-    means = [m for r in sums.recordings for m in r.means]
-    if not means:
+    if not sums.means:
         return None
-    longest = max(means, key=lambda m: m.samples)
+    longest = max(sums.means, key=lambda m: m.samples)
     totals = longest.step * longest.values[:, axis]
     return common_step(np.cumsum(totals), deviation)
 

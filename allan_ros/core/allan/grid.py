@@ -77,7 +77,7 @@ def allan_variance(sum_sq: Floats, m: NDArray[np.int64], count: NDArray[np.int64
 
 def levels_of(factors: int) -> int:
     """Return the number of levels, at least 1, of a grid with ``factors`` averaging factors."""
-    return max(1, -(-(factors - 5) // 4))
+    return max(1, -(-(factors - len(FIRST_FACTORS)) // len(LEVEL_FACTORS)))
 
 
 # --- octave spectra -------------------------------------------------------------------------------

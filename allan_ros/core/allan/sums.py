@@ -157,6 +157,16 @@ class AllanSums(ByValue):
         return tuple(p for r in self.recordings for p in r.periods)
 
     @property
+    def means(self) -> tuple[BlockMeans, ...]:
+        """The block means of the longest segments of all recordings, one object per segment."""
+        return tuple(m for r in self.recordings for m in r.means)
+
+    @property
+    def longest(self) -> int:
+        """Number of samples of the longest segment with block means; 0 without block means."""
+        return max((m.samples for m in self.means), default=0)
+
+    @property
     def avar(self) -> Floats:
         """Overlapping Allan variance at the factors ``m``, pooled over segments, (factors, axes).
 

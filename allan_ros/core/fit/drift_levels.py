@@ -115,12 +115,11 @@ def innovation_levels(
     settlings : mapping of int to float
         Index of an axis -> time constant of its settling in samples.
     """
-    segments = [m for r in sums.recordings for m in r.means]
-    step = max((m.step for m in segments), default=1)
-    longest = max((len(m.values) * m.step for m in segments), default=0)
+    step = max((m.step for m in sums.means), default=1)
+    longest = max((len(m.values) * m.step for m in sums.means), default=0)
     while longest > MOST_MEANS * step:
         step *= 2
-    segments = [m for m in (m.coarser(step) for m in segments) if len(m.values) >= LEAST_MEANS]
+    segments = [m for m in (m.coarser(step) for m in sums.means) if len(m.values) >= LEAST_MEANS]
     number = sum(len(m.values) - 1 for m in segments)
     power, dof = np.zeros((2, number, len(sums.axes)))
     share = np.zeros(len(sums.axes))

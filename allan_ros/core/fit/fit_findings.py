@@ -91,8 +91,7 @@ def axis_findings(sums: AllanSums, axis: int, fit: AxisFit, tau0: float) -> list
     if step is not None and white and not is_counter:
         share = step * step / 12.0 / (white**2 / tau0)
         found.append(finding('rounding', name, step=step, share=min(share, 1.0)))
-    longest = max((m.samples for r in sums.recordings for m in r.means), default=0)
-    advice = recommended_duration(fit, longest * tau0)
+    advice = recommended_duration(fit, sums.longest * tau0)
     if advice is not None:
         seconds, terms = advice
         found.append(finding('record_longer', name, terms=' and '.join(terms), how_long=seconds))

@@ -76,7 +76,7 @@ def fit_paper(sums: AllanSums) -> NoiseModel:
 def _signs_of_ramps(sums: AllanSums) -> list[int]:
     """Return the sign of the least-squares slope of the block means, for each axis."""
     slopes = np.zeros(len(sums.axes))
-    for means in (m for r in sums.recordings for m in r.means):
+    for means in sums.means:
         t = np.arange(len(means.values)) - (len(means.values) - 1) / 2.0
         slopes += t @ means.values
     return [int(sign) for sign in np.sign(slopes)]

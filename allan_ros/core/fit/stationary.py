@@ -235,7 +235,7 @@ def rounding_errors(sums: AllanSums, axis: int, data: AxisData) -> Process | Non
     step = step_of_sums(sums, axis, math.sqrt(data.scale))
     if step is None or step**2 < LEAST_STEP_RATIO * data.scale:
         return None
-    means = np.concatenate([m.values[:, axis] for r in sums.recordings for m in r.means])
+    means = np.concatenate([m.values[:, axis] for m in sums.means])
     effect_of_rate = complex(np.mean(np.exp(2j * math.pi / step * means)))
     fit, rounding = data.solve(RANDOM_TERMS, tolerance=TOLERANCE), None
     for _ in range(STEP_ROUNDS):

@@ -405,7 +405,7 @@ def statistics(sums: AllanSums, settling: Settling | None = None) -> Statistics:
     computed, and a fit subtracts it.
     """
     spectra = pooled_spectra(sums)
-    longest = max((m.samples for r in sums.recordings for m in r.means), default=0)
+    longest = sums.longest
     octaves = 0
     for o, number in enumerate(spectra.blocks.tolist()):
         if number < 1 or (o and LOWEST_BLOCKS * octave(o).length > longest):
