@@ -217,3 +217,16 @@ def test_no_import_cycle() -> None:
             reached[module] = more
     circle = {'.'.join(module[1:]) for module, far in reached.items() if module in far}
     assert not circle, sorted(circle)
+
+
+def test_no_class_name_is_used_twice() -> None:
+    """Only a class of `api` has the name of the class of `results` that it extends."""
+    places: dict[str, list[str]] = {}
+    for path in FILES:
+        for node in ast.walk(tree_of(path)):
+            extends = isinstance(node, ast.ClassDef) and f'Plain{node.name}' in {
+                ast.unparse(base) for base in node.bases
+            }
+            if isinstance(node, ast.ClassDef) and not extends:
+                places.setdefault(node.name.lstrip('_'), []).append(named(path))
+    assert {name: where for name, where in places.items() if where[1:]} == {}

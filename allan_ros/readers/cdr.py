@@ -217,7 +217,7 @@ def _grouped_by_layout(
         yield np.array(rows), np.frombuffer(b''.join(group_payloads), dtype)
 
 
-class _Layout(NamedTuple):
+class _MessageLayout(NamedTuple):
     """Layout of a message: byte order, record dtype, offsets of fields, position of frame_id."""
 
     order: str
@@ -226,7 +226,7 @@ class _Layout(NamedTuple):
     frame: slice
 
 
-def _layout_of(payload: bytes, encoding: Encoding = 'cdr', index: int = 0) -> _Layout:
+def _layout_of(payload: bytes, encoding: Encoding = 'cdr', index: int = 0) -> _MessageLayout:
     """Return the layout of an Imu message, or raise MalformedMessage with ``index``."""
     if len(payload) < _FRAME_AT:
         raise MalformedMessage(index, f'{len(payload)} bytes are too few for an Imu')
@@ -247,10 +247,10 @@ def _layout_of(payload: bytes, encoding: Encoding = 'cdr', index: int = 0) -> _L
 
 
 @lru_cache(maxsize=256)
-def _layout(encoding: Encoding, order: str, frame_bytes: int, length: int = 0) -> _Layout:
+def _layout(encoding: Encoding, order: str, frame_bytes: int, length: int = 0) -> _MessageLayout:
     dtype = imu_dtype(encoding, order, frame_bytes, length)
     offsets = {name: entry[1] for name, entry in (dtype.fields or {}).items()}
-    return _Layout(order, dtype, offsets, slice(_FRAME_AT, _FRAME_AT + frame_bytes))
+    return _MessageLayout(order, dtype, offsets, slice(_FRAME_AT, _FRAME_AT + frame_bytes))
 
 
 def is_imu(payload: bytes, encoding: Encoding) -> bool:

@@ -88,7 +88,7 @@ def open_table(path: Path, options: ReadOptions) -> Recording:
 
 
 @dataclass
-class _Table:
+class _SampleTable:
     """A table of samples: its layout, and the temperatures in the rows that were read."""
 
     path: Path
@@ -132,12 +132,12 @@ class _Table:
         readings = [(stamp, stamp, celsius) for stamp, celsius in self._temperatures]
         return trace_of(self.names[column].strip(), readings)
 
-    def _rows(self, file: TextIO, report: Report) -> Iterator[_Rows]:
+    def _rows(self, file: TextIO, report: Report) -> Iterator[_TableRows]:
         """Yield the rows in groups of at most `BATCH` rows with one frame_id each.
 
         A last line without a line end is not used, because the last number in it may be truncated.
         """
-        lines, rows = _Lines(self, file), _Rows(self)
+        lines, rows = _Lines(self, file), _TableRows(self)
         try:
             for cells in _split(lines, self.delimiter):
                 if not lines.complete:
@@ -146,7 +146,7 @@ class _Table:
                 if len(rows.cells) == BATCH or lines.frame_id != rows.frame_id:
                     if rows.cells:
                         yield rows
-                    rows = _Rows(self, rows.first + len(rows.cells), lines.frame_id)
+                    rows = _TableRows(self, rows.first + len(rows.cells), lines.frame_id)
                 rows.numbers.append(lines.number)
                 rows.cells.append(cells)
         except csv.Error as error:
@@ -160,7 +160,7 @@ class _Table:
             yield rows
 
 
-def _layout(path: Path, file: TextIO, options: ReadOptions) -> _Table:
+def _layout(path: Path, file: TextIO, options: ReadOptions) -> _SampleTable:
     comment = ''
     lines = _bounded_lines(path, file)
     number = 0
@@ -192,7 +192,7 @@ def _layout(path: Path, file: TextIO, options: ReadOptions) -> _Table:
     next_rows = [] if header_line else [list(first_cells)]
     try:
         next_rows += islice(rows, FIRST_ROWS)
-    except csv.Error:  # `_Table.read` reports the error
+    except csv.Error:  # `_SampleTable.read` reports the error
         next_rows = next_rows or [[]]
     if not next_rows:
         raise AllanError(f'{path}: has no line after its header: record or export it again')
@@ -206,7 +206,9 @@ def _layout(path: Path, file: TextIO, options: ReadOptions) -> _Table:
         else:
             times = list(map(_number, takewhile(_is_number, cells))) or [0.0]
             columns = columns.with_time_unit(path, np.array(times), options.stamp_unit)
-    return _Table(path, delimiter, len(first_cells), names, header_line, columns, options.rate_hz)
+    return _SampleTable(
+        path, delimiter, len(first_cells), names, header_line, columns, options.rate_hz
+    )
 
 
 def _names(
@@ -321,7 +323,7 @@ class _Lines:
     whether the last row that was read has a line end.
     """
 
-    def __init__(self, table: _Table, file: TextIO) -> None:
+    def __init__(self, table: _SampleTable, file: TextIO) -> None:
         self.number = 0
         self.frame_id = ''
         self.complete = True
@@ -339,10 +341,10 @@ class _Lines:
 
 
 @dataclass
-class _Rows:
+class _TableRows:
     """Consecutive rows of a table with one frame_id, as text."""
 
-    table: _Table
+    table: _SampleTable
     first: int = 0  # index of the first of these rows in the table
     frame_id: str = ''
     numbers: list[int] = field(default_factory=list)  # line number of each row

@@ -61,7 +61,7 @@ vibration rather than drift changes the means."""
 
 
 @dataclass(frozen=True, eq=False)
-class Segment:
+class SegmentStatistics:
     """Block means of one segment, and the octave spectra of all data at higher frequencies.
 
     Attributes
@@ -85,7 +85,9 @@ class Segment:
     components: tuple[Process, ...]
 
     @classmethod
-    def of(cls, known: Statistics, means: BlockMeans | None, tau0: float) -> Segment | None:
+    def of(
+        cls, known: Statistics, means: BlockMeans | None, tau0: float
+    ) -> SegmentStatistics | None:
         """Return a segment from the statistics of all data and the block means of the segment.
 
         ``tau0`` is the sample period in s. The result is None if there are no block means, or if
@@ -275,7 +277,7 @@ class SensorSettling:
 class _Sensor:
     """First segment of a recording, with the noise of the axes of one sensor in this segment."""
 
-    segment: Segment
+    segment: SegmentStatistics
     noise: Mapping[int, AxisSegment]
 
     def effects(self, time: float) -> dict[int, FittedEffects]:
@@ -327,7 +329,7 @@ def settling(sums: AllanSums, known: Statistics, axes: Sequence[int]) -> SensorS
         first_means = recording.means[0] if recording.means else None
         if first_means is None or first_means.samples < LEAST_SEGMENT * recording.samples:
             continue
-        segment = Segment.of(known, first_means, tau0)
+        segment = SegmentStatistics.of(known, first_means, tau0)
         if segment is not None:
             by_axis = {a: segment.axis(a) for a in axes}
             noise = {a: one for a, one in by_axis.items() if one is not None}
@@ -419,7 +421,7 @@ class BiasSteps(NamedTuple):
         return self.effects.gain - GAIN_STEPS - GAIN_MORE_STEPS * (len(self.at) - 1)
 
 
-def bias_steps(segment: Segment, axis: int) -> BiasSteps | None:
+def bias_steps(segment: SegmentStatistics, axis: int) -> BiasSteps | None:
     """Return the steps of the bias of one axis in a segment, or None if there are none."""
     noise = segment.axis(axis)
     if noise is None:
@@ -454,7 +456,7 @@ def step_findings(sums: AllanSums, known: Statistics, without: set[int]) -> list
     if not all_means:
         return []
     recording, longest = max(all_means, key=lambda pair: pair[1].samples)
-    segment = Segment.of(known, longest, tau0)
+    segment = SegmentStatistics.of(known, longest, tau0)
     if segment is None:
         return []
     first_period = recording.periods[0]

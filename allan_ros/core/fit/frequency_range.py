@@ -148,8 +148,8 @@ class SelectedModel(NamedTuple):
         return float(np.sum(step * change * width / (2.0 * np.sin(np.pi * f) ** 2)))
 
 
-class _Verdict(NamedTuple):
-    """Result of the tests of a model."""
+class _TestResults(NamedTuple):
+    """Results of the tests of a model."""
 
     fits: bool  # whether no octave differs from the model
     looks_filtered: bool  # whether the spectrum bends like the spectrum of a low-pass filter
@@ -174,7 +174,7 @@ class _Trial(NamedTuple):
     top: float
     rules: Selection
     fit: Fit
-    verdict: _Verdict
+    test_results: _TestResults
 
 
 def estimate(
@@ -213,7 +213,7 @@ def _estimate(rules: Selection) -> SelectedModel:
     best = _highest(rules)
     fit, rules = best.fit, best.rules
     lack: dict[int, float] = {}
-    if not best.verdict.holds:
+    if not best.test_results.holds:
         rules, fit, lack = _down_weighted(rules, fit)
     if rules.signed:  # corrects the estimates for a term in f^4 that is too small for the test
         fit = rules.data.solve(
@@ -249,10 +249,10 @@ def _highest(rules: Selection) -> _Trial:
     A trial that does not use all frequencies passes only if the highest octave of the data has less
     power than the white noise of the model.
 
-    A trial that nearly passes is fair (`_Verdict.is_fair`). After the first fair trial, only a half
-    and a quarter of its frequency are tried. If a low-pass filter is the cause, the model passes at
-    one of these frequencies. If no trial passes, the result is the fair trial, or the first trial
-    if none is fair.
+    A trial that nearly passes is fair (`_TestResults.is_fair`). After the first fair trial, only a
+    half and a quarter of its frequency are tried. If a low-pass filter is the cause, the model
+    passes at one of these frequencies. If no trial passes, the result is the fair trial, or the
+    first trial if none is fair.
     """
     f = rules.data.statistics.f
     tops = [top for top in TOPS if np.sum(f < top) >= LEAST_BINS]
@@ -263,7 +263,7 @@ def _highest(rules: Selection) -> _Trial:
     ):
         if _bends_like_noise(rules):
             trial = _trial(rules, tops[0])
-            if trial.verdict.holds and any(c.bends_spectrum for c in trial.fit.components):
+            if trial.test_results.holds and any(c.bends_spectrum for c in trial.fit.components):
                 return trial
         tops = tops[1:]
         while len(tops) > 1 and _relative_power(rules.data, tops[0]) < LOST_POWER[1]:
@@ -273,9 +273,9 @@ def _highest(rules: Selection) -> _Trial:
         if fair is not None and top < fair.top / 4.0:
             break
         trial = _trial(rules, top)
-        if trial.verdict.holds and (top == TOPS[0] or _loses_power(rules.data, trial.fit)):
+        if trial.test_results.holds and (top == TOPS[0] or _loses_power(rules.data, trial.fit)):
             return trial
-        if fair is None and trial.verdict.is_fair:
+        if fair is None and trial.test_results.is_fair:
             fair = trial
     return fair or _trial(rules, tops[0])
 
@@ -389,8 +389,8 @@ def _tail(deviance: float, number: float) -> float:
     return float(gammaincc(number / 2.0, deviance / 2.0))
 
 
-def _test(rules: Selection, fit: Fit) -> _Verdict:
-    """Return the result of the tests of a model.
+def _test(rules: Selection, fit: Fit) -> _TestResults:
+    """Return the results of the tests of a model.
 
     The power in each octave and in all octaves is compared with the model (chi-squared tests). The
     spectrum looks low-pass filtered if it contains a significant further power of f: a negative
@@ -419,4 +419,4 @@ def _test(rules: Selection, fit: Fit) -> _Verdict:
     may_hide_filter = (
         white < WHITE_NOISE or rules.imitates_filter(fit) or _is_rather_filter(rules, fit)
     )
-    return _Verdict(min(tails) >= LACK_OF_FIT, is_bent, may_hide_filter)
+    return _TestResults(min(tails) >= LACK_OF_FIT, is_bent, may_hide_filter)

@@ -61,7 +61,7 @@ KNOWN_DOF = 1e4
 coefficient is 0.7 %, far below the errors of the other coefficients."""
 
 
-class _Blocks(NamedTuple):
+class _TemperatureBlocks(NamedTuple):
     """Means of blocks of equal length from all segments, with their temperature."""
 
     step: int  # number of samples per block
@@ -144,7 +144,7 @@ def temperature_models(
     return models, []
 
 
-def _blocks(sums: AllanSums, time_ns: Ints, celsius: Floats) -> _Blocks:
+def _blocks(sums: AllanSums, time_ns: Ints, celsius: Floats) -> _TemperatureBlocks:
     """Return the block means whose temperature is known."""
     step, segments = equal_blocks(sums, MOST_MEANS)
     tau0 = sums.tau0 or 1.0
@@ -155,7 +155,7 @@ def _blocks(sums: AllanSums, time_ns: Ints, celsius: Floats) -> _Blocks:
         columns_of_segments.append((np.full(len(values), r), time, values))
     if not columns_of_segments:
         empty = np.zeros(0)
-        return _Blocks(step, np.zeros(0, np.int64), empty, empty, empty, empty)
+        return _TemperatureBlocks(step, np.zeros(0, np.int64), empty, empty, empty, empty)
     recording, time, values = (np.concatenate(column) for column in zip(*columns_of_segments))
     reading_times = (time_ns - origin) * 1e-9 / (step * tau0)
     times_in_block = time[:, None] + (np.arange(8) - 3.5) / 8.0
@@ -164,7 +164,9 @@ def _blocks(sums: AllanSums, time_ns: Ints, celsius: Floats) -> _Blocks:
     next_reading = np.clip(np.searchsorted(reading_times, time), 1, len(reading_times) - 1)
     pause = reading_times[next_reading] - reading_times[next_reading - 1]
     is_known = np.isfinite(mean) & (pause < max(LONGEST_PAUSE_S / (step * tau0), 2.0))
-    return _Blocks(step, *(each[is_known] for each in (recording, time, mean, spread, values)))
+    return _TemperatureBlocks(
+        step, *(each[is_known] for each in (recording, time, mean, spread, values))
+    )
 
 
 def _returns(celsius: Floats, least: float) -> bool:
@@ -309,7 +311,7 @@ class _Contrasts:
 
 
 def _contrasts(
-    data: AxisData, fit: AxisFit, tau0: float, blocks: _Blocks, basis: Floats
+    data: AxisData, fit: AxisFit, tau0: float, blocks: _TemperatureBlocks, basis: Floats
 ) -> _Contrasts:
     """Return the contrasts of the block means of one axis.
 
@@ -330,7 +332,7 @@ def _contrasts(
 
 
 def _model(
-    contrasts: _Contrasts, tau0: float, blocks: _Blocks, effects: Floats, basis: Floats
+    contrasts: _Contrasts, tau0: float, blocks: _TemperatureBlocks, effects: Floats, basis: Floats
 ) -> TemperatureModel | None:
     """Return the model of one axis; None if an interval of b0, b1 or b2 is unknown.
 

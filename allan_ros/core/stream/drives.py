@@ -243,7 +243,7 @@ def drive_errors(drive: Drive) -> DriveErrors:
     # weights of the first rest with which a constant bias has no effect on the residuals
     change_weights = first_weights.copy()
     change_weights[:, 3:] -= accel_bias
-    blocks = _Blocks.of(drive)
+    blocks = _DriveBlocks.of(drive)
     return DriveErrors(
         start=drive.start,
         duration=duration,
@@ -308,7 +308,7 @@ def _cumulative_products(matrices: Floats) -> Floats:
     return products
 
 
-class _Blocks(NamedTuple):
+class _DriveBlocks(NamedTuple):
     """Division of a drive and its rests into blocks of equal duration."""
 
     duration: float  # duration of a block in s
@@ -322,7 +322,7 @@ class _Blocks(NamedTuple):
     last_rest_shares: Floats
 
     @classmethod
-    def of(cls, drive: Drive) -> _Blocks:
+    def of(cls, drive: Drive) -> _DriveBlocks:
         drive_begin = drive.before.duration
         drive_end = drive_begin + drive.duration
         end = drive_end + drive.after.duration

@@ -119,7 +119,7 @@ the step between the means of neighboring windows if white noise does not explai
 noise has no limit, because very large white noise is due to a wrong unit, not to motion."""
 
 
-class Limits(NamedTuple):
+class RestLimits(NamedTuple):
     """Largest statistics of a window at rest, (axes, 1) each.
 
     ``step`` is the largest difference between the means of neighboring windows, and ``rate`` the
@@ -258,11 +258,11 @@ class NoiseFloor:
         return not bool((has_large_steps | (has_large_noise & (self.ratio < LOW_FREQUENCY))).any())
 
     @cached_property
-    def limits(self) -> Limits:
+    def limits(self) -> RestLimits:
         """The limits of windows of ``size`` samples."""
         return self.limits_of(self.size)
 
-    def limits_of(self, size: int) -> Limits:
+    def limits_of(self, size: int) -> RestLimits:
         """Return the limits of windows of any number of samples."""
         # added to the limits: infinite for an axis without noise
         allowance = np.where(self.scale > 0.0, 0.0, np.inf)
@@ -270,7 +270,7 @@ class NoiseFloor:
         short_allowance = allowance if size >= LEAST_WINDOW else np.full_like(allowance, np.inf)
         sigma = np.sqrt(self.scale)
         step_sigma = np.maximum(np.sqrt(2.0 / size) * sigma, self.step)
-        return Limits(
+        return RestLimits(
             (self.settings.motion_ratio**2 * self.scale + short_allowance)[:, None],
             (np.maximum(SHOCK_SIGMAS * sigma, 2.5 * self.lsb) + allowance)[:, None],
             (STEP_SIGMAS * step_sigma + self.lsb + short_allowance)[:, None],
