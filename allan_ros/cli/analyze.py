@@ -248,7 +248,7 @@ def show_results(recorded: RecordingSums, args: argparse.Namespace) -> int:
     """
     console, settings = Console.of(args), settings_of(ResultSettings, args)
     results, names = fit_and_write(recorded, args, args.output)
-    missing_targets = [name for name in args.export if target_of(name).file_name not in names]
+    missing_files = {target_of(name).file_name for name in args.export} - {*names}
     written_text = one_line(f'written to {args.output}: {", ".join(names)}') if names else ''
     if console.json:
         console.document(result_document(results, settings.units))
@@ -263,10 +263,10 @@ def show_results(recorded: RecordingSums, args: argparse.Namespace) -> int:
         print('\n'.join(results_lines(results, verdict, settings.units, *style)))
         if written_text:
             print(f'\n{written_text}')
-    if missing_targets:
-        finding = next(f for f in results.findings if f.id == 'file_left_out')
-        print(f'allan analyze: {finding}', file=sys.stderr)
-    return exit_code_of(results, args.fail_on) or (EXIT_ERROR if missing_targets else 0)
+    for finding in results.findings:
+        if finding.id == 'file_left_out' and finding.values['file'] in missing_files:
+            print(f'allan analyze: {finding_line(finding)}', file=sys.stderr)
+    return exit_code_of(results, args.fail_on) or (EXIT_ERROR if missing_files else 0)
 
 
 def _read_all(

@@ -134,7 +134,9 @@ def results_lines(
             yield from ('', *terminal_lines(_known_rows(table), columns))
         if len(fitted_axes) < len(axes):
             names_without_fit = ', '.join(axis[-1] for axis in axes if axis not in fitted_axes)
-            yield from ('' * (not fitted_axes), f'{sensor} {names_without_fit}: no coefficients')
+            if not fitted_axes:
+                yield ''
+            yield f'{sensor} {names_without_fit}: no coefficients'
     yield from _temperature_lines(results, units, columns)
     yield from _filter_lines(results, columns)
     yield ''

@@ -133,15 +133,9 @@ def noise_at_rest(axes: Mapping[str, AxisResult]) -> list[NoiseAtRest]:
     noise_of_axes = []
     for name in AXES:
         fit, tau0 = axes[name].fit, axes[name].tau0
-        unresolved_terms = {
-            letter: estimate for letter, estimate in fit.noise.items() if not estimate.resolved
-        }
-        model = fit.model.changed(**{letter: 0.0 for letter in 'BK' if letter in unresolved_terms})
-        limits = {
-            letter: estimate.upper95
-            for letter, estimate in unresolved_terms.items()
-            if estimate.upper95
-        }
+        unresolved_terms = {t: fit.noise[t] for t in 'BK' if not fit.noise[t].resolved}
+        model = fit.model.changed(**dict.fromkeys(unresolved_terms, 0.0))
+        limits = {t: e.upper95 for t, e in unresolved_terms.items() if e.upper95}
         noise_of_axes.append(axis_noise(model, tau0, limits))
     return noise_of_axes
 

@@ -282,7 +282,7 @@ def _frame(rows: Sequence[UnitRow], sensor: str) -> _Frame:
 def _drawing(row: UnitRow, sensor: str, frame: _Frame) -> str:
     """Return an SVG of the curves of the axes of a sensor; '' without curves.
 
-    If a plan limits N, a band shows the limits of the last axis that has a limit.
+    If a plan limits N, a band shows the limits of each axis that has a limit.
     """
     curves = _curves(row, sensor)
     if not curves:
@@ -298,7 +298,7 @@ def _drawing(row: UnitRow, sensor: str, frame: _Frame) -> str:
             if check.upper:
                 high = check.upper / np.sqrt(tau)
             area = f'{frame.points(tau, low)} {frame.points(tau[::-1], high[::-1])}'
-            parts = [f'<polygon points="{area}" fill="#8883"/>']
+            parts.append(f'<polygon points="{area}" fill="#8883"/>')
     for axis, curve in curves.items():
         color = COLORS['xyz'.index(axis[-1])]
         line = frame.points(curve.tau, curve.adev)

@@ -165,6 +165,11 @@ def test_a_gyro_alone_is_analyzed_without_an_imu_yaml(
     assert 'imu.yaml is not written (no accel' in ' '.join(capsys.readouterr().out.split())
     names = {path.name for path in (tmp_path / 'out').iterdir()}
     assert names == FILES - {'imu.yaml'}
+    words = ['analyze', str(tmp_path / 'gyro.npz'), '-o', str(tmp_path / 'out'), '--overwrite']
+    assert main([*words, '--export', 'openvins']) == 1
+    said = capsys.readouterr().err.splitlines()
+    (line,) = (each for each in said if each.startswith('allan analyze: '))
+    assert ' is not written (no accel' in line and 'correct the cause' in line
 
 
 def test_real_recordings_are_analyzed(shared_data: Path, tmp_path: Path) -> None:
