@@ -271,6 +271,28 @@ def test_a_recording_played_fast_has_no_clock_steps():
     assert statistics.leapt_s == 0.0
 
 
+def test_arrivals_are_independent_of_the_batches():
+    """Messages between two steps of the stamps are processed together."""
+    rng = np.random.default_rng(5)
+    n = 3000
+    stamps = np.arange(n) / RATE + rng.normal(0.0, 0.02, n)  # some messages are out of order
+    arrival = np.arange(n) / RATE
+    for start, step in ((1000, 0.5), (1700, 3.0), (2400, 4.0), (2900, -2.0), (2903, 1.0)):
+        stamps[start:] += step
+    arrival[2400:] += 4.0  # no message was sent for 4 s
+    found = []
+    for size in (1, 7, n):
+        statistics = TransportStatistics()
+        arrivals = Arrivals(statistics)
+        for first in range(0, n, size):
+            rows = slice(first, first + size)
+            arrivals.update((stamps[rows] * 1e9).astype(np.int64) + 10**18, arrival[rows])
+        found.append(statistics)
+    assert found[0] == found[1] == found[2]
+    assert found[0].interruptions == 1
+    assert 3.0 < found[0].leapt_s < 4.0
+
+
 def test_a_stuck_axis_is_named():
     rng = np.random.default_rng(3)
     samples = np.round(rng.normal(0.0, 2.0, (4000, 6)))  # coarse: values repeat by chance
