@@ -258,7 +258,7 @@ class FilterNoise:
         walk_levels, sigmas_and_taus = {}, []
         for name, axis in axes.items():
             model = axis.fit.model
-            if not any(map(has_time, model.parts)):
+            if not any(map(has_correlation_time, model.parts)):
                 reduction = self.reduction(name, 'processes')
                 model, walk_levels[name] = reduction.model, reduction.levels['K']
             pair = closest_process(model, GaussMarkov, self.horizon, tau, self.target.bound)
@@ -315,10 +315,11 @@ class FilterNoise:
 
     def findings(self) -> list[Finding]:
         """Return a list with a warning if N and K cannot describe the error growth of some axes."""
+        fits = {axis: self.results.axes[axis].fit for axis in self.used}
         poor_ratios = {
             axis: reduced.ratio[1]
             for axis, reduced in self.used.items()
-            if reduced.poor or any(map(has_time, self.results.axes[axis].fit.model.parts))
+            if reduced.poor or any(map(has_correlation_time, fits[axis].model.parts))
         }
         if not poor_ratios:
             return []
@@ -338,7 +339,7 @@ class FilterNoise:
         return math.exp(sum(math.log(tau) for tau in taus) / len(taus))
 
 
-def has_time(part: Part) -> bool:
+def has_correlation_time(part: Part) -> bool:
     """Return whether a part of a model is drift with a correlation time, unlike a random walk."""
     return bool(part.process.parameters) and part.process.is_drift and not part.process.is_line
 

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 AFTER_S = (1.0, 10.0, 60.0)
 """Times in s after the last correction at which the drift is compared."""
 
-SHOWN_UNITS = {'gyro': (DEGREE, 'deg'), 'accel': (1.0, 'm/s')}
+DRIFT_UNITS = {'gyro': (DEGREE, 'deg'), 'accel': (1.0, 'm/s')}
 """Sensor -> SI value and name of the unit in which its drift is shown."""
 
 SHOWN_DIGITS = 2
@@ -67,7 +67,7 @@ class Drift(NamedTuple):
         return self.file < (self.ci95[0] if self.ci95 else self.measured)
 
     def __str__(self) -> str:
-        factor, unit = SHOWN_UNITS[sensor_of(self.axis)]
+        factor, unit = DRIFT_UNITS[sensor_of(self.axis)]
         file, measured, *interval_ends = (
             f'{significant(x / factor, SHOWN_DIGITS)}'
             for x in (self.file, self.measured, *(self.ci95 or ()))

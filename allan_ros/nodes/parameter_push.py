@@ -54,7 +54,7 @@ from .diagnostics import key_values, status_name
 from .former_values import Former, FormerValues
 from .node import AllanNode, NodePart
 from .node_settings import SETTLED_RATIO, PushSettings
-from .push_plan import GAINS_WAIT, Numbers, Proposal, PushPlan, load_plan, text_of
+from .push_plan import GAINS_WAIT, Numbers, Proposal, PushPlan, load_push_plan, text_of
 
 ANSWER_S = 5.0
 """Longest time in s to wait for an answer of the other node. Without an answer, the next update
@@ -100,7 +100,7 @@ class ParameterPush(NodePart):
         self._owner, self._log = owner, owner.get_logger()
         self._settings = owner.parameters.group('push', PushSettings)
         self.node = target = self._settings.value.node
-        self._plan = load_plan(self._settings.value.filter) if target else None
+        self._plan = load_push_plan(self._settings.value.filter) if target else None
         self._results: Results | None = None
         self._bias: Mapping[str, Estimate] = {}
         self._gains: tuple[Row, ...] = ()  # gains that are shown, but not set

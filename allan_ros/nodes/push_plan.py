@@ -22,10 +22,10 @@ GAINS = {'imu_filter_madgwick': ('gain',)}
 cover the errors of the gyro in motion. Without a factor in motion, the gain is shown in the status,
 but not set."""
 
-RAISED = 2.0
+RAISE_RATIO = 2.0
 """The gain in a node is raised if the gain that covers the errors of the gyro in motion is more
-than `RAISED` times as large. A gain is never lowered: a large gain may be needed for other reasons,
-such as fast convergence, and a lower gain makes the tilt worse at rest."""
+than `RAISE_RATIO` times as large. A gain is never lowered: a large gain may be needed for other
+reasons, such as fast convergence, and a lower gain makes the tilt worse at rest."""
 
 PUSHED_TARGETS = (*GAINS, 'kalibr', 'fast_lio')
 """Export targets that ``push.filter`` may name: gains, densities N and K (kalibr), and N^2 f and
@@ -64,7 +64,7 @@ class PushPlan:
         return {row: self.names.get(row, row) for row in GAINS.get(self.target, self.names)}
 
 
-def load_plan(name: str) -> PushPlan:
+def load_push_plan(name: str) -> PushPlan:
     """Read a plan, given its name in ``config/filters`` or the path of its .yaml file.
 
     Raises AllanError if the name is unknown, or the file is invalid or cannot be read.
@@ -113,7 +113,7 @@ class Proposal:
 
     def keeps(self, found: Numbers) -> str:
         """Return why the found gain in the node is kept; '' if this value replaces the gain."""
-        if not self.is_gain or len(found) != 1 or not self.values[0] <= RAISED * found[0]:
+        if not self.is_gain or len(found) != 1 or not self.values[0] <= RAISE_RATIO * found[0]:
             return ''
         return (
             f'is {found[0]:.4g} in the node and covers the errors of the gyro in motion, for which '

@@ -122,7 +122,7 @@ def most_severe_first(rows: Iterable[StatusRow]) -> list[StatusRow]:
     return sorted(rows, key=lambda r: (list(STYLES).index(r.level), r.node, r.name))
 
 
-def headline(rows: Sequence[StatusRow]) -> str:
+def counts_text(rows: Sequence[StatusRow]) -> str:
     """Return a line with the number of statuses per level, and the age of the latest status.
 
     Raises ValueError if there are no rows.
@@ -144,7 +144,11 @@ def picture(rows: Sequence[StatusRow]) -> RenderableType:
     from rich.text import Text
 
     table = Table(
-        title=headline(rows), title_justify='left', title_style='bold', expand=True, box=SIMPLE_HEAD
+        title=counts_text(rows),
+        title_justify='left',
+        title_style='bold',
+        expand=True,
+        box=SIMPLE_HEAD,
     )
     table.add_column('', no_wrap=True)
     table.add_column('status', overflow='fold', ratio=2)
@@ -216,7 +220,7 @@ class Watch(Node):
             if self._options.json:
                 print(document(rows))
             elif rows:
-                print('\n'.join([headline(rows), *map(plain_line, rows)]))
+                print('\n'.join([counts_text(rows), *map(plain_line, rows)]))
             if not rows and not self._hinted:
                 print(self._hint(), file=sys.stderr)
         if self._page is not None:

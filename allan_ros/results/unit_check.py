@@ -24,7 +24,7 @@ class Decision(IntEnum):
     BUG = 70
 
 
-WORST_FIRST = (
+DECISIONS_WORST_FIRST = (
     *(Decision.BUG, Decision.EXCEEDS, Decision.UNREADABLE, Decision.NOT_JUDGED, Decision.WITHIN),
 )
 """Decisions, the most severe first. The decision about a batch of IMUs is the most severe decision
@@ -135,4 +135,4 @@ def worst(decisions: Sequence[Decision]) -> Decision:
     >>> worst([Decision.WITHIN, Decision.NOT_JUDGED, Decision.UNREADABLE]).name
     'UNREADABLE'
     """
-    return min(decisions, key=WORST_FIRST.index, default=Decision.WITHIN)
+    return min(decisions, key=DECISIONS_WORST_FIRST.index, default=Decision.WITHIN)

@@ -96,7 +96,7 @@ def parts_table(axes: Axes) -> Table:
     return Table(Heading(''), axis_headings(axes), rows)
 
 
-def growth_table(axes: Axes, units: str) -> Table:
+def error_growth_table(axes: Axes, units: str) -> Table:
     """Return a table of the predicted angle or velocity error of one sensor without correction.
 
     Each cell contains the standard deviation of the error with its 95 % interval. There is a row

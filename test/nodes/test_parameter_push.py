@@ -19,7 +19,7 @@ from allan_ros.core.errors import AllanError
 from allan_ros.core.imu import ImuBatch
 from allan_ros.core.noise import Model
 from allan_ros.nodes.former_values import Former, FormerValues
-from allan_ros.nodes.push_plan import PUSHED_TARGETS, Proposal, load_plan
+from allan_ros.nodes.push_plan import PUSHED_TARGETS, Proposal, load_push_plan
 from allan_ros.readers.files import config_names
 
 OK, WARN = b'\x00', b'\x01'
@@ -378,7 +378,7 @@ def test_a_value_far_from_the_one_that_was_found_is_refused():
 def test_every_plan_of_the_package_can_be_read():
     assert config_names('filters') == ['imu_filter_madgwick', 'noise_densities']
     for name in config_names('filters'):
-        assert load_plan(name).target in PUSHED_TARGETS
+        assert load_push_plan(name).target in PUSHED_TARGETS
 
 
 @pytest.mark.parametrize(
@@ -395,7 +395,7 @@ def test_a_bad_plan_is_rejected_with_its_name(tmp_path: Path, old: str, new: str
     path = tmp_path / 'bad.yaml'
     path.write_text(PLAN.replace(old, new))
     with pytest.raises(AllanError) as refused:
-        load_plan(str(path))
+        load_push_plan(str(path))
     assert reason in str(refused.value) and 'bad.yaml' in str(refused.value)
 
 

@@ -14,7 +14,14 @@ pytest.importorskip('rclpy')
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from support.node_server import PATIENCE_S
 
-from allan_ros.nodes.watch import StatusRow, headline, most_severe_first, picture, plain_line, row
+from allan_ros.nodes.watch import (
+    StatusRow,
+    counts_text,
+    most_severe_first,
+    picture,
+    plain_line,
+    row,
+)
 
 ADVICE = 'no message on /imu for 3.2 s; look at the driver [and its cable]'
 
@@ -46,7 +53,8 @@ def drawn(shown: list[StatusRow], columns: int, encoding: str = 'utf-8') -> list
 
 def test_the_most_severe_comes_first_and_a_silent_status_is_stale():
     assert [r.level for r in rows()] == ['ERROR', 'STALE', 'WARN', 'ok']
-    assert headline(rows()) == 'allan_ros: 1 ERROR, 1 STALE, 1 WARN, 1 ok; last message 0.1 s ago'
+    text = 'allan_ros: 1 ERROR, 1 STALE, 1 WARN, 1 ok; last message 0.1 s ago'
+    assert counts_text(rows()) == text
     assert plain_line(rows()[1]) == 'STALE imu accel z: N 0.01 (12 s old)'
     assert plain_line(rows()[2]) == 'WARN  robot/allan_estimator: imu gyro y: N rose'
 

@@ -12,7 +12,13 @@ import pytest
 from allan_ros.core.findings import finding
 from allan_ros.results.plan import Limits, Plan
 from allan_ros.results.results import Results
-from allan_ros.results.unit_check import WORST_FIRST, Decision, UnitCheck, check_unit, worst
+from allan_ros.results.unit_check import (
+    DECISIONS_WORST_FIRST,
+    Decision,
+    UnitCheck,
+    check_unit,
+    worst,
+)
 from allan_ros.view.finding_text import texts_of
 from allan_ros.view.unit_text import (
     checks_text,
@@ -100,9 +106,9 @@ def test_noise_above_a_datasheet_exceeds_without_a_plan(clean: Results) -> None:
 
 
 def test_the_worst_decision_is_that_of_the_batch() -> None:
-    for pair in permutations(WORST_FIRST, 2):
-        assert worst(pair) is min(pair, key=WORST_FIRST.index)
-    assert [int(d) for d in WORST_FIRST] == [70, 3, 1, 4, 0]
+    for pair in permutations(DECISIONS_WORST_FIRST, 2):
+        assert worst(pair) is min(pair, key=DECISIONS_WORST_FIRST.index)
+    assert [int(d) for d in DECISIONS_WORST_FIRST] == [70, 3, 1, 4, 0]
     assert worst([]) is Decision.WITHIN
 
 

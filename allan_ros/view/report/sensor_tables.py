@@ -22,7 +22,7 @@ from ..coefficient_table import Coefficients, coefficient_table
 from ..comparison import baseline_table, limit_table, stated_limits
 from ..finding_text import explained
 from ..format import pretty_unit
-from ..model_table import Axes, filter_table, growth_table, parts_table, size_cell
+from ..model_table import Axes, error_growth_table, filter_table, parts_table, size_cell
 from ..table import Cell, Heading, Table, html_table, in_units, note_html
 
 if TYPE_CHECKING:
@@ -72,7 +72,7 @@ def growth_html(axes: Axes) -> Iterator[str]:
     between the recordings.
     """
     if all(axis.growth for axis in axes.values()):
-        yield _scrolled('comparison', partial(growth_table, axes))
+        yield _scrolled('comparison', partial(error_growth_table, axes))
         window = next(iter(axes.values())).growth[0].window
         yield note_html(
             'One standard deviation of the error, with its 95 % interval, after the bias was '
