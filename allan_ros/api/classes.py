@@ -21,8 +21,7 @@ from ..core.findings import grouped
 from ..core.imu import sensor_of
 from ..core.settings import LIST, UNIT_SYSTEMS, choose, expect, settings_from
 from ..export import ExportOptions, make_export, target_of
-from ..readers.files import PATH, write_atomic
-from ..readers.files import public as with_checked_paths
+from ..readers.files import PATH, with_checked_paths, write_atomic
 from ..results.datasheets import Datasheet as PlainDatasheet
 from ..results.datasheets import load_sensor
 from ..results.documents import labels_of

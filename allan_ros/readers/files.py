@@ -35,7 +35,7 @@ LONGEST_NAME = 255
 """Largest number of bytes in a file name (NAME_MAX of Linux)."""
 
 
-def public(function: Callable[P, T]) -> Callable[P, T]:
+def with_checked_paths(function: Callable[P, T]) -> Callable[P, T]:
     """Decorate a public function so that it raises AllanError for errors of the operating system.
 
     The function also raises AllanError for a text argument that cannot be a path, because it

@@ -37,9 +37,14 @@ from .results import Results
 if TYPE_CHECKING:
     from ..core.filters.motion_factors import NoiseInMotion
 
-PREFIXES, SUFFIXES = ('scipy_openblas', 'openblas'), ('64_', '')
-"""Text before and after ``_get_num_threads`` and ``_set_num_threads`` in the names of functions of
-OpenBLAS. This text differs between builds."""
+OPENBLAS_FUNCTIONS = (
+    'scipy_openblas_{}_num_threads64_',
+    'scipy_openblas_{}_num_threads',
+    'openblas_{}_num_threads64_',
+    'openblas_{}_num_threads',
+)
+"""Names that the functions of OpenBLAS for the number of threads have in different builds, with
+'get' or 'set' in place of {}."""
 
 _lock = threading.Lock()
 _users = 0
@@ -86,7 +91,7 @@ def _openblas() -> Iterator[tuple[Callable[[], int], Callable[[int], Any]]]:
     for path in sorted(paths):
         with suppress(OSError):
             library = ctypes.CDLL(path)
-            for name in (f'{p}_{{}}_num_threads{s}' for p in PREFIXES for s in SUFFIXES):
+            for name in OPENBLAS_FUNCTIONS:
                 if hasattr(library, name.format('set')):
                     yield getattr(library, name.format('get')), getattr(library, name.format('set'))
                     break

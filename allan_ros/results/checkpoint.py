@@ -26,7 +26,7 @@ from ..readers.files import (
     write_atomic,
 )
 from ..readers.recording_sums import Provenance
-from .documents import SUMS_SCHEMA, sums_file_from_document, sums_file_to_document
+from .documents import SUMS_FILE_SCHEMA, sums_file_from_document, sums_file_to_document
 
 Total = tuple[tuple[AllanSums, ...], Provenance]
 """The Allan sums of an IMU over all runs of a node, and the origin of these sums."""
@@ -210,9 +210,9 @@ class Checkpoint:
         try:
             document = parse_json(data.decode('utf-8'), self.path)
             schema = document.get('schema') if isinstance(document, dict) else None
-            if isinstance(schema, str) and schema != SUMS_SCHEMA:
+            if isinstance(schema, str) and schema != SUMS_FILE_SCHEMA:
                 self._content = None
-                self._refuse(f'its schema is {schema}, but this version reads {SUMS_SCHEMA}')
+                self._refuse(f'its schema is {schema}, but this version reads {SUMS_FILE_SCHEMA}')
                 return
             self.earlier = self._content = sums_file_from_document(document, self.path)
         except (AllanError, UnicodeDecodeError) as error:

@@ -44,7 +44,7 @@ from .datasheets import sheet_from_document, sheet_to_document
 from .results import Results
 
 RESULTS_SCHEMA = 'allan_ros/results/3'
-SUMS_SCHEMA = 'allan_ros/sums_file/2'
+SUMS_FILE_SCHEMA = 'allan_ros/sums_file/2'
 
 RESULTS, SUMS = 'results.json', 'sums.json'
 """Names of the documents in the folder of an analysis: the results, and the Allan sums from which
@@ -138,7 +138,7 @@ def results_from_document(document: object, where: str = 'results') -> Results:
 def sums_file_to_document(sums: Iterable[AllanSums], provenance: Provenance) -> dict[str, Any]:
     """Return Allan sums and their provenance as the document of a sums.json."""
     return {
-        'schema': SUMS_SCHEMA,
+        'schema': SUMS_FILE_SCHEMA,
         'tool': TOOL,
         **_provenance_to_document(provenance),
         'last_stamp_ns': provenance.last_stamp_ns,
@@ -164,7 +164,7 @@ def sums_file_from_document(
     ``where`` names the document in messages. Raises AllanError if the document is invalid.
     """
     fields = Fields(document, where, DOCUMENT_KEYS)
-    fields.schema(SUMS_SCHEMA)
+    fields.schema(SUMS_FILE_SCHEMA)
     return (
         tuple(sums_from_document(s, f'{where}: sums') for s in fields.sequence('sums')),
         _provenance_from_document(fields),
@@ -184,7 +184,7 @@ def load(path: str | os.PathLike[str], method: str = 'likelihood') -> Results:
         has_results = (document_path / RESULTS).is_file() or not (document_path / SUMS).is_file()
         document_path = Path(file_in(path, RESULTS if has_results else SUMS))
     document: Any = read_json(document_path)
-    if isinstance(document, dict) and document.get('schema') == SUMS_SCHEMA:
+    if isinstance(document, dict) and document.get('schema') == SUMS_FILE_SCHEMA:
         recorded = RecordingSums(
             str(document_path), *sums_file_from_document(document, str(document_path))
         )

@@ -36,7 +36,7 @@ from ..core.noise import LETTERS, Model
 from ..core.settings import SLOWEST_HZ, check_range, expect, settings_from
 from ..core.simulator import PRESETS, Faults, simulate_imu
 from ..readers import SourceInfo
-from ..readers.files import public, read_yaml, to_json, write_atomic
+from ..readers.files import read_yaml, to_json, with_checked_paths, write_atomic
 from ..readers.recording_sums import Provenance
 from .axis_result import AxisResult
 from .datasheets import load_sensor
@@ -258,7 +258,7 @@ def _estimates(model: Model) -> dict[str, Estimate]:
     }
 
 
-@public
+@with_checked_paths
 def simulate(
     hours: float = 1.0,
     rate: float = 100.0,
