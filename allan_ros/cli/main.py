@@ -24,9 +24,9 @@ from ..core.errors import AllanError
 from .console import COMMON_OPTIONS, EXIT_ERROR, EXIT_FAULT, fault_text
 from .options import Command, declare
 
-GARBAGE_THRESHOLD = 100_000
-"""Number of new objects that may refer to other objects after which Python collects garbage. With
-the default of Python, garbage is collected about 150 times while the modules are imported."""
+GARBAGE_THRESHOLD = 200_000
+"""Number of new objects that may refer to other objects after which Python collects garbage. An
+analysis creates about 100,000. With the default of Python, garbage would be collected 150 times."""
 
 HELP_COLUMN = 26
 """Column at which the help texts of options begin."""

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 from numbers import Real
 
 import numpy as np
@@ -146,7 +147,7 @@ class AxisResult:
         """
         return state_space(reduce_axis(self.name, self.fit, 'processes').model)
 
-    @property
+    @cached_property
     def growth(self) -> tuple[Growth, ...]:
         """Predicted standard deviation of the angle error (rad) or velocity error (m/s).
 

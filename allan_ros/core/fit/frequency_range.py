@@ -259,7 +259,7 @@ def _highest(rules: Selection) -> _Trial:
     if (
         len(tops) > 1
         and _relative_power(rules.data, tops[0]) < LOST_POWER[0]
-        and _test(rules, rules.fit(rules.base)).looks_filtered
+        and _test(rules, rules.base_fit).looks_filtered
     ):
         if _bends_like_noise(rules):
             trial = _trial(rules, tops[0])
@@ -303,7 +303,7 @@ def _bends_like_noise(rules: Selection) -> bool:
 
 def _with_fast_process(rules: Selection) -> Fit:
     """Return the fit of the base with the fast Gauss-Markov process that fits best."""
-    base = rules.fit(rules.base)
+    base = rules.base_fit
     fast_processes = [
         c for kind in rules.candidates.kinds for c in kind.processes if c.bends_spectrum
     ]

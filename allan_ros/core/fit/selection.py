@@ -108,9 +108,14 @@ class Selection:
         """
         return self.data.solve(components, None, p, signed=self.signed, tolerance=TOLERANCE)
 
+    @cached_property
+    def base_fit(self) -> Fit:
+        """Fit of the base."""
+        return self.fit(self.base)
+
     def selected(self) -> tuple[Selection, Fit]:
         """Return the selection with the weights of `weighed`, and the fit of the selected model."""
-        rules, fit = self, self.fit(self.base)
+        rules, fit = self, self.base_fit
         while len(fit.p) < len(self.base) + MAX_PROCESSES:
             larger = rules._with_one_more(fit)
             if larger is None:
