@@ -105,7 +105,7 @@ def show_gains(records: int, seed: int) -> Iterator[tuple[str, ...]]:
         for i in range(records):
             sums = sums_of(draw(terms, 2.0, 1.0, np.random.default_rng([seed, i, k])))
             means = sums.recordings[0].means[0]
-            segment = bias_changes.Segment.of(statistics(sums), means, 1.0)
+            segment = bias_changes.SegmentStatistics.of(statistics(sums), means, 1.0)
             assert segment is not None  # None only for shorter records
             one = bias_changes.settling(sums, statistics(sums), [0, 1, 2])
             warm.append(one.gain if one else 0.0)
