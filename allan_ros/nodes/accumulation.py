@@ -286,6 +286,7 @@ class ImuWatch(NodePart):
             self._imu.hardware_id,
             self._sensor,
             with_drives=True,
+            with_means=True,
             covered=covered if is_simulated else None,
         )
         self._latest_ns: int | None = None

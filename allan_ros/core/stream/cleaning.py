@@ -152,11 +152,18 @@ class StampSorter:
         self._pending = ImuBatch.empty(len(AXES))
         self._latest: int | None = None  # stamp of the last sample that was returned
 
-    def feed(self, samples: ImuBatch) -> ImuBatch:
-        """Add samples of the six axes, and return the samples whose order is final."""
+    def feed(self, samples: ImuBatch) -> list[ImuBatch]:
+        """Add samples of the six axes, and return the samples whose order is final, in parts."""
+        pending = self._pending
+        number = ((len(pending) + len(samples)) // REORDER - 1) * REORDER
+        end = number - len(pending)  # number of samples of ``samples`` whose order is final
+        if end > 0 and self._is_sorted(np.concatenate([pending.stamps_ns, samples.stamps_ns])):
+            self._latest = int(samples.stamps_ns[end - 1])
+            self._pending = samples.part(slice(end, None)).copy()
+            return [pending, samples.part(slice(end))]
         # a copy, because the samples are sorted in place
-        self._pending = joined([self._pending, samples], copy=True)
-        return self._take((len(self._pending) // REORDER - 1) * REORDER)
+        self._pending = joined([pending, samples], copy=True)
+        return [self._take(number)]
 
     def flush(self) -> ImuBatch:
         """Return the buffered samples at the end of the input."""
@@ -166,7 +173,12 @@ class StampSorter:
     def all_sorted(cls, samples: ImuBatch) -> ImuBatch:
         """Return the sorted samples of a complete input."""
         sorter = cls(samples.stamps_ns)
-        return joined([sorter.feed(samples), sorter.flush()])
+        return joined([*sorter.feed(samples), sorter.flush()])
+
+    def _is_sorted(self, stamps: Stamps) -> bool:
+        """Return whether the next stamps, (n,), are in order and not before the latest stamp."""
+        is_after_latest = self._latest is None or stamps[0] >= self._latest
+        return is_after_latest and bool((stamps[1:] >= stamps[:-1]).all())
 
     def _take(self, number: int) -> ImuBatch:
         """Remove the first ``number`` samples from the buffer, and return them sorted."""
@@ -174,7 +186,7 @@ class StampSorter:
         if number < 1:
             return self._pending.part(slice(0))
         latest = int(stamps[0]) if self._latest is None else self._latest
-        is_sorted = stamps[0] >= latest and (stamps[1:] >= stamps[:-1]).all()
+        is_sorted = self._is_sorted(stamps)
         for begin in range(0, 0 if is_sorted else number, REORDER):
             window = stamps[begin : begin + 2 * REORDER]
             delay = np.maximum(np.maximum.accumulate(window), latest) - window

@@ -80,10 +80,11 @@ class ImuStream:
     depend only on the positions of samples counted from the start of the stream, with a fixed
     look-ahead. ``hardware_id`` identifies the IMU if the user states it. ``sensor`` is 'gyro' or
     'accel' if the other sensor is in another stream; this stream then ignores the values of the
-    other sensor. ``with_samples`` also keeps all samples at rest in memory, and ``with_drives``
-    keeps the errors of the latest drives between two rests. With ``covered``, each time is counted
-    once: samples are excluded if earlier samples cover their time, or if their time is in one of
-    the stretches ``covered``, (first, last) stamp in ns.
+    other sensor. ``with_samples`` also keeps all samples at rest in memory, ``with_drives`` keeps
+    the errors of the latest drives between two rests, and ``with_means`` keeps the latest means of
+    one second. With ``covered``, each time is counted once: samples are excluded if earlier samples
+    cover their time, or if their time is in one of the stretches ``covered``, (first, last) stamp
+    in ns.
     """
 
     def __init__(
@@ -94,10 +95,11 @@ class ImuStream:
         with_samples: bool = False,
         with_drives: bool = False,
         covered: Sequence[tuple[int, int]] | None = None,
+        with_means: bool = False,
     ) -> None:
         self._hardware_id = hardware_id
         self._settings = settings
-        self._options = settings, sensor, with_samples, with_drives, covered
+        self._options = settings, sensor, with_samples, with_drives, with_means, covered
         self._received = 0
         self._frames: dict[str, FrameStream] = {}
         self._present = FrameStream(ImuIdentity('', hardware_id), *self._options)
@@ -125,8 +127,11 @@ class ImuStream:
         self._ended = True
 
     def means(self) -> tuple[Means, ...]:
-        """Return the latest one-second means of static data of each present sensor stream."""
-        return tuple(stream.means for stream in self._present.sensors)
+        """Return the latest one-second means of static data of each present sensor stream.
+
+        The result is empty unless ``with_means`` was set.
+        """
+        return tuple(s.means for s in self._present.sensors if s.means is not None)
 
     def samples(self) -> dict[str, tuple[Stamps, Floats]]:
         """Return axis -> stamps in ns and values of all samples at rest, (n,) each, after `end`.
@@ -293,10 +298,11 @@ class FrameStream:
         sensor: str,
         with_samples: bool,
         with_drives: bool,
+        with_means: bool,
         covered: Sequence[tuple[int, int]] | None,
     ) -> None:
         self.identity = identity
-        self._options = settings, with_samples, with_drives
+        self._options = settings, with_samples, with_drives, with_means
         self.sensors: tuple[SensorStream, ...] = ()
         self.earlier: tuple[SensorStream, ...] = ()
         self._dropped = Counts()  # counts of the sensor streams that preceded `earlier`
@@ -355,7 +361,7 @@ class FrameStream:
         self.received += len(batch)
         while len(batch) and (self._faulty or not self.sensors):
             batch = self._watch(batch) if self.sensors else self._learn_from(batch)
-        self._feed(self._sorter.feed(self.stamps.of(batch)))
+        self._feed(*self._sorter.feed(self.stamps.of(batch)))
 
     def flush(self) -> None:
         """Process all buffered samples at the end of the input, and close the segment."""
@@ -388,7 +394,7 @@ class FrameStream:
         self.sensors = tuple(SensorStream(plan, self.identity, *self._options) for plan in plans)
         ids_that_may_end = (*IDLE, *ABSENT, *UNTIMED)
         self._faulty = tuple(note for note in self.notes if note.id in ids_that_may_end)
-        self._feed(self._sorter.feed(samples))
+        self._feed(*self._sorter.feed(samples))
 
     def _watch(self, batch: ImuBatch) -> ImuBatch:
         """Process samples, `CHECKED` at a time, until a fault of the first samples has ended.
@@ -399,11 +405,11 @@ class FrameStream:
         for begin in range(0, len(buffered) - CHECKED + 1, CHECKED):
             group = buffered.part(slice(begin, begin + CHECKED))
             if any(self._has_ended(note, group) for note in self._faulty):
-                self._feed(self._sorter.feed(self.stamps.of(buffered.part(slice(begin)))))
+                self._feed(*self._sorter.feed(self.stamps.of(buffered.part(slice(begin)))))
                 self._start_again(group)
                 return buffered.part(slice(begin + CHECKED, None))
         processed = len(buffered) // CHECKED * CHECKED
-        self._feed(self._sorter.feed(self.stamps.of(buffered.part(slice(processed)))))
+        self._feed(*self._sorter.feed(self.stamps.of(buffered.part(slice(processed)))))
         self._buffer = [buffered.part(slice(processed, None)).copy()]
         return batch[:0]
 
@@ -420,7 +426,7 @@ class FrameStream:
 
     def _take_buffered(self) -> None:
         for samples in self._buffer:
-            self._feed(self._sorter.feed(self.stamps.of(samples)))
+            self._feed(*self._sorter.feed(self.stamps.of(samples)))
         self._buffer = []
 
     def _start_again(self, samples: ImuBatch) -> None:
@@ -435,18 +441,22 @@ class FrameStream:
         self.notes = [note for note in self.notes if note not in self._faulty]
         self._faulty, self._buffer = (), [samples]
 
-    def _feed(self, samples: ImuBatch) -> None:
-        if self._covered is not None:
-            samples = self._covered.feed(samples)
-        if not len(samples):
-            return
-        if self.first_ns is None:
-            self.first_ns = int(samples.stamps_ns[0])
-        if self._skip_ns:
-            is_used = samples.stamps_ns >= self.first_ns + self._skip_ns
-            first_used = int(np.argmax(is_used)) if is_used.any() else len(samples)
-            self._skip_ns *= not is_used.any()
-            self._skipped += first_used
-            samples = samples.part(slice(first_used, None))
-        for sensor in self.sensors:
-            sensor.feed(samples)
+    def _feed(self, *parts: ImuBatch) -> None:
+        """Process consecutive sorted samples."""
+        used_parts: list[ImuBatch] = []
+        for samples in parts:
+            if self._covered is not None:
+                samples = self._covered.feed(samples)
+            if not len(samples):
+                continue
+            if self.first_ns is None:
+                self.first_ns = int(samples.stamps_ns[0])
+            if self._skip_ns:
+                is_used = samples.stamps_ns >= self.first_ns + self._skip_ns
+                first_used = int(np.argmax(is_used)) if is_used.any() else len(samples)
+                self._skip_ns *= not is_used.any()
+                self._skipped += first_used
+                samples = samples.part(slice(first_used, None))
+            used_parts.append(samples)
+        for sensor in self.sensors if used_parts else ():
+            sensor.feed(*used_parts)

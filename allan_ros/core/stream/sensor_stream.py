@@ -102,9 +102,10 @@ class SensorStream:
         settings: SegmenterSettings,
         with_samples: bool = False,
         with_drives: bool = False,
+        with_means: bool = False,
     ) -> None:
         self.axes = plan.axes
-        self._with_drives = with_drives and plan.axes == AXES
+        self._with_drives, self._with_means = with_drives and plan.axes == AXES, with_means
         self.recorder: DriveRecorder | None = None
         self.events: Longest[Event] = Longest(LISTED_EVENTS)
         self._plan = plan
@@ -128,7 +129,7 @@ class SensorStream:
             groups = [[axes.index(axis) for axis in group] for group in self._plan.random_repeats]
             self._stages.append(RepeatFilter(groups, len(axes)))
         self._levels = NoiseLevels(self._start_level)
-        self._means = RunningMeans(self._plan.axes)
+        self._means = RunningMeans(self._plan.axes) if self._with_means else None
 
     @property
     def counts(self) -> Counts:
@@ -206,13 +207,13 @@ class SensorStream:
         return self.clock.is_interleaved
 
     @property
-    def means(self) -> Means:
-        """The latest one-second means of static data."""
-        return self._means.means
+    def means(self) -> Means | None:
+        """The latest one-second means of static data; None unless ``with_means`` was set."""
+        return None if self._means is None else self._means.means
 
-    def feed(self, samples: ImuBatch) -> None:
-        """Process the next samples, which have six axes."""
-        self._pass_on(self.clock.feed(self._filter.feed(samples)))
+    def feed(self, *parts: ImuBatch) -> None:
+        """Process the next samples, which have six axes and may be in several parts."""
+        self._pass_on(self.clock.feed(*map(self._filter.feed, parts)))
         while self.clock.rate_changed:
             self._pass_on(self._change_rate())
         if self._former_ns and self.clock.clock is not None:
@@ -276,13 +277,14 @@ class SensorStream:
         for block in blocks:
             if self.gate is None:  # otherwise, the gate adds the samples at rest
                 self._levels.present.add(block)
-            if block.cut:
+            if self._means is not None and block.cut:
                 self._means.cut()
-            if len(block):
+            if self._means is not None and len(block):
                 self._means.update(block.stamps_ns, block.rows)
 
     def _end_segment(self) -> None:
         """Process the samples that the stages have buffered, and close the segment."""
         self._pass_on([], at_end=True)
         self._levels.present.close()
-        self._means.cut()
+        if self._means is not None:
+            self._means.cut()

@@ -321,9 +321,9 @@ class SampleClock:
         """Samples that are not processed yet."""
         return self._samples.part(slice(self._processed, None))
 
-    def feed(self, samples: ImuBatch) -> list[ImuBatch]:
-        """Add samples, and return the blocks whose look-ahead is complete."""
-        self._samples = joined([self._samples, samples])
+    def feed(self, *parts: ImuBatch) -> list[ImuBatch]:
+        """Add consecutive samples, and return the blocks whose look-ahead is complete."""
+        self._samples = joined([self._samples, *parts])
         while self.clock is None and (number := learned_from(self._samples.stamps_ns)):
             self._learn(number)
         return self._process_ready(self._reach)

@@ -138,7 +138,7 @@ def test_a_stream_has_means_of_static_samples_only() -> None:
     count = 60_00
     values = rng.normal(0.5, 0.01, size=(count, 6))
     values[3000:3500, :3] += rng.normal(0.0, 1.0, size=(500, 3))  # 5 s of motion
-    stream = ImuStream()
+    stream = ImuStream(with_means=True)
     stream.update(ImuBatch(10**18 + STEP_NS * np.arange(count), values))
     (means,) = stream.means()
     assert means.axes[0] == 'gyro_x'
