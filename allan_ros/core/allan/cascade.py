@@ -18,6 +18,12 @@ A second difference of the phase (the cumulative sum of the samples) is the diff
 of m points and of the next m points. Source: IEEE Std 952-1997 annex C; NIST SP 1065 eq. 11
 (overlapping Allan variance). To avoid rounding errors, the first sample of the segment is
 subtracted from all samples.
+
+Time
+----
+For six axes, the sums take about 170 ns per sample on a virtual AMD EPYC: the second differences
+60 ns (level 0 takes 40 ns), the octave spectra 75 ns (level 0 takes 55 ns), and the sums of periods
+15 ns.
 """
 
 from __future__ import annotations
@@ -393,8 +399,8 @@ def _second_differences(points: Floats, summed: int, level: CascadeLevel) -> tup
             numbers[part, i], squares[part, i] = after - begin, _squares(d_by_axis[:, begin:after])
             begin = after
         non_overlapping = d_by_axis[:, first + -(summed - _KEPT + first) % f : begin : f]
-        i += len(factors)
-        numbers[0, i], squares[0, i] = non_overlapping.shape[1], _squares(non_overlapping)
+        numbers[0, len(factors) + i] = non_overlapping.shape[1]
+        squares[0, len(factors) + i] = _squares(non_overlapping)
     return squares, numbers
 
 

@@ -123,33 +123,34 @@ class _State:
         """Return the state itself, which is immutable."""
         return self
 
-    def with_block(self, segment: _OpenSegment, block: Block) -> _State:
-        """Return the state after a block of the current segment was added."""
-        periods, age = list(self.periods), segment.age + block.begin
-        if block.sums.level == 0:
-            length, total = block.samples.shape[1], block.samples.sum(axis=1)
-            total[:-1] += length * (segment.cascade.reference - self.reference)
-            new_period = _RunningPeriod(age, (segment.start_ns, block.begin), length, total)
-            if periods and periods[-1].samples < FIRST_BLOCK:
-                periods[-1] = periods[-1].extended(new_period)
-            else:
-                periods.append(new_period)
-            if len(periods) > MAX_PERIODS:
-                _, i = pair_to_merge([p.begin for p in periods], age + length)
-                periods[i : i + 2] = [periods[i].extended(periods[i + 1])]
-        i = bisect.bisect_right([p.begin for p in periods], age) - 1
-        periods[i] = periods[i].plus([block.sums])
-        return replace(self, periods=tuple(periods))
+    def with_blocks(
+        self, segment: _OpenSegment, blocks: Iterable[Block]
+    ) -> tuple[_State, _SegmentSums]:
+        """Return the state and the sums of the current segment after blocks of it were added."""
+        periods, segment_sums = list(self.periods), segment.sums
+        for block in blocks:
+            age = segment.age + block.begin
+            if block.sums.level == 0:
+                segment_sums = segment_sums.plus(block)
+                length = block.samples.shape[1]
+                total = block.samples @ np.ones(length)
+                total[:-1] += length * (segment.cascade.reference - self.reference)
+                new_period = _RunningPeriod(age, (segment.start_ns, block.begin), length, total)
+                if periods and periods[-1].samples < FIRST_BLOCK:
+                    periods[-1] = periods[-1].extended(new_period)
+                else:
+                    periods.append(new_period)
+                if len(periods) > MAX_PERIODS:
+                    _, i = pair_to_merge([p.begin for p in periods], age + length)
+                    periods[i : i + 2] = [periods[i].extended(periods[i + 1])]
+            i = bisect.bisect_right([p.begin for p in periods], age) - 1
+            periods[i] = periods[i].plus([block.sums])
+        return replace(self, periods=tuple(periods)), segment_sums
 
     def with_end(self, segment: _OpenSegment) -> _State:
         """Return the state after the end of the current segment."""
-        state, segment_sums = self, segment.sums
-        for block in segment.cascade.open_blocks():
-            if block.sums.level == 0:
-                segment_sums = segment_sums.plus(block)
-            state = state.with_block(segment, block)
-        shift = segment.cascade.reference - self.reference
-        samples, (sums, step) = segment.cascade.samples, segment_sums
+        state, (sums, step) = self.with_blocks(segment, segment.cascade.open_blocks())
+        shift, samples = segment.cascade.reference - self.reference, segment.cascade.samples
         values = rounded(sums[:, : samples // step].T / step + shift, MEAN_BYTES)
         means = BlockMeans(segment.age, segment.start_ns, samples, step, values)
         return replace(
@@ -208,10 +209,8 @@ class RunningSums:
                 self._state = _State(values[0].copy())
             self._open = _OpenSegment(values[0].copy(), first_ns, self._state.samples)
         segment = self._open
-        for block in segment.cascade.feed(values.T, interpolated):
-            self._state = self._state.with_block(segment, block)
-            if block.sums.level == 0:
-                segment.sums = segment.sums.plus(block)
+        blocks = segment.cascade.feed(values.T, interpolated)
+        self._state, segment.sums = self._state.with_blocks(segment, blocks)
         segment.last_ns = last_ns
 
     def end_segment(self) -> None:
