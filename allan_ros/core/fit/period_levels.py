@@ -1,15 +1,23 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Level of the noise in each period of a recording, and changes and scatter of this level.
+"""Levels of white noise and of drift in the periods of a recording, and changes of these levels.
 
-The level of white noise is the power of a period in the highest octaves, relative to all data.
-`drift_levels` computes the level of the drift.
+The level of white noise is the power of a period in the highest octaves, relative to all data. The
+level of drift is relative to the fitted model.
+
+Level of the drift
+------------------
+The level is measured in the spectra of the periods, at frequencies with a relevant share of drift,
+and from the innovations of the block means. An innovation is the error with which the model
+predicts a block mean from all earlier block means
+of the segment, divided by the standard deviation of this error. If the model is right, the
+innovations are independent and have a variance of 1.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -17,8 +25,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..allan.curve import Spectra, pooled_spectra
+from ..allan.periods import BlockMeans
 from ..allan.sums import AllanSums
-from .statistics import Floats
+from ..noise import Process
+from ..noise.processes.white import White
+from .result import AxisFit
+from .statistics import Floats, Statistics, decay_of_means, mean_alias
 
 LEVEL_CHANGES = 1e-3
 """Probability in Bartlett's test, or in a test of two levels, below which levels of the white noise
@@ -41,20 +53,8 @@ PART = 0.04
 """Approximate length of a part of the data, relative to all data. A finding states the lowest and
 the highest N of the parts. Periods that are longer are not divided."""
 
-SCATTER = 0.005
-"""Probability in Bartlett's test below which the levels of the parts of a recording are regarded as
-different. Each sensor is tested with each number of parts in `SCALES`, which gives false alarms on
-at most 1.5 % of the sensors for each kind of level. Measured: 2 of 150 sensors for white noise, 7
-of 1800 for the spectra of drift, and 19 of 1800 for the innovations of the block means."""
-
-SCALES = (3, 6, 12)
-"""Numbers of parts of a recording whose levels are compared."""
-
 LEAST_DOF = 10.0
 """Fewest degrees of freedom of the level of a part of a recording."""
-
-LEAST_PARTS = 3
-"""Fewest parts of a recording from which the scatter of the levels is computed."""
 
 LEAST_CHANGE = 0.2
 """Least relative change of N after which only the last part is fitted."""
@@ -208,55 +208,6 @@ class PeriodLevels:
         return float(np.sqrt(max(ratio, 1.0 / ratio)) - 1.0)
 
 
-def scatter(levels: PeriodLevels, axes: Sequence[int]) -> float:
-    """Return by how much the amplitude of the noise of a sensor may differ in another hour.
-
-    The logarithms of the levels of the parts of a recording are assumed to have a normally
-    distributed scatter in addition to the scatter of Gaussian noise (random effects;
-    R. DerSimonian, N. Laird, Controlled Clinical Trials 7, 1986). The scatter is computed for 3, 6
-    and 12 parts, and the largest significant value is used.
-
-    Parameters
-    ----------
-    levels : PeriodLevels
-        Levels of white noise or of drift.
-    axes : sequence of int
-        Indices of the axes of the sensor, which have a common scatter.
-
-    Returns
-    -------
-    float
-        Half of the width of the 95 % interval of the logarithm of the amplitude; 0 if the levels of
-        the parts do not differ significantly.
-    """
-    from scipy.special import chdtrc, polygamma, stdtrit
-
-    largest = 0.0
-    for parts in SCALES:
-        joined_levels = [(*levels.joined(axis, parts), float(levels.share[axis])) for axis in axes]
-        joined_levels = [
-            each for each in joined_levels if len(each[0]) >= LEAST_PARTS and each[0].min() > 0.0
-        ]
-        if not joined_levels:
-            continue
-        statistic, total_freedom, excess, information = 0.0, 0, 0.0, 0.0
-        for power, dof, share in joined_levels:
-            freedom = len(dof) - 1
-            correction = 1.0 + (np.sum(1.0 / dof) - 1.0 / dof.sum()) / (3.0 * freedom)
-            mean = np.average(power, weights=dof)
-            statistic += float(np.sum(dof * np.log(mean / power))) / correction
-            total_freedom += freedom
-            weight = 1.0 / polygamma(1, dof / 2.0)
-            level = np.log(power)
-            squares = weight @ (level - np.average(level, weights=weight)) ** 2
-            excess += float(squares) - freedom
-            information += float(weight.sum() - weight @ weight / weight.sum()) * share**2
-        if excess > 0.0 and chdtrc(total_freedom, statistic) < SCATTER:
-            quantile = float(stdtrit(total_freedom / len(joined_levels), 0.975))
-            largest = max(largest, quantile * math.sqrt(excess / information) / 2.0)
-    return largest
-
-
 def _tail(statistic: float, number: int, spread: float, periods: int) -> float:
     """Return the tail probability of chi-squared with ``number`` degrees of freedom.
 
@@ -340,3 +291,177 @@ def present_part(sums: AllanSums, levels: PeriodLevels) -> tuple[int, tuple[int,
         return None
     at = max(k for k in last_changes.values() if k)
     return at, tuple(i for i in range(len(sums.axes)) if levels.change(i, at) > LEAST_CHANGE)
+
+
+# --- level of the drift ---------------------------------------------------------------------------
+
+
+LEAST_SHARE = 0.3
+"""The level of the drift is measured in bins in which the drift has more than this share of the
+power, and in block means whose innovations have at least this share of drift in their variance."""
+
+LARGEST_SETTLING = 0.01
+"""The level of the drift is measured in bins in which a settling has less than this share of the
+power, because the share of a settling differs between the periods."""
+
+MOST_MEANS = 256
+"""Largest number of block means of a segment. More block means are averaged in pairs, which keeps
+the covariance matrix of the block means small."""
+
+LEAST_MEANS = 8
+"""Fewest block means of a segment whose innovations are used."""
+
+
+def total_and_drift(
+    fit: AxisFit, tau0: float, expected: Callable[[Process], Floats], size: int
+) -> tuple[Floats, Floats]:
+    """Return an expected statistic of the model of an axis, and the part that is due to drift.
+
+    Drift is all noise whose integral grows with time, except white noise.
+
+    Parameters
+    ----------
+    fit : AxisFit
+        Fit of the axis.
+    tau0 : float
+        Sample period in s.
+    expected : callable
+        Function that returns the statistic, (size,), of a process with the coefficient 1 and its
+        shape in samples.
+    size : int
+        Length of both results.
+    """
+    total, drift = np.zeros((2, size))
+    for part in fit.model.parts:
+        process = part.process.in_unit(tau0)
+        if process.is_regressor:
+            continue
+        of_part = part.process.variance_of(part.value, tau0) * expected(process)
+        total += of_part
+        if part.process.is_drift and not process.is_white:
+            drift += of_part
+    return total, drift
+
+
+def spectrum_levels(
+    spectra: PeriodSpectra, known: Sequence[Statistics], fits: Sequence[AxisFit], tau0: float
+) -> PeriodLevels:
+    """Return the level of the drift (`total_and_drift`) in each period.
+
+    Parameters
+    ----------
+    spectra : PeriodSpectra
+    known : sequence of Statistics
+        Statistics of the sums for each axis.
+    fits : sequence of AxisFit
+        Fit of each axis.
+    tau0 : float
+        Sample period in s.
+    """
+    expected, share = np.ones_like(spectra.whole.power), np.zeros_like(spectra.whole.power)
+    for i, (one, fit) in enumerate(zip(known, fits)):
+        total, drift = total_and_drift(fit, tau0, one.power_of, len(one.f))
+        used_bins = np.flatnonzero((total > 0.0) & (one.settling[:, i] < LARGEST_SETTLING))
+        expected[used_bins, i] = total[used_bins]
+        share[used_bins, i] = drift[used_bins] / total[used_bins]
+    return spectra.levels(expected, np.where(share > LEAST_SHARE, share, 0.0))
+
+
+def innovation_levels(
+    sums: AllanSums, fits: Sequence[AxisFit], settlings: Mapping[int, float]
+) -> PeriodLevels:
+    """Return the level of the drift in each block mean except the first of each segment.
+
+    The level of a block mean is the square of its innovation, with one degree of freedom. Both are
+    0 for an axis whose model has no drift, or whose drift has a mean share below `LEAST_SHARE` in
+    the variance of the innovations.
+
+    Parameters
+    ----------
+    sums : AllanSums
+        Sums with the block means.
+    fits : sequence of AxisFit
+        Fit of each axis.
+    settlings : mapping of int to float
+        Index of an axis -> time constant of its settling in samples.
+    """
+    step = max((m.step for m in sums.means), default=1)
+    longest = max((len(m.values) * m.step for m in sums.means), default=0)
+    while longest > MOST_MEANS * step:
+        step *= 2
+    segments = [m for m in (m.coarser(step) for m in sums.means) if len(m.values) >= LEAST_MEANS]
+    number = sum(len(m.values) - 1 for m in segments)
+    power, dof = np.zeros((2, number, len(sums.axes)))
+    share = np.zeros(len(sums.axes))
+    for i, fit in enumerate(fits):
+        if not segments or not fit.model.has_drift:
+            continue
+        try:
+            number_of_longest = max(len(m.values) for m in segments) - 1
+            root, drift_share = _prediction(fit, sums.tau0 or 1.0, step, number_of_longest)
+        except np.linalg.LinAlgError:  # nearly all power is at the frequencies of sinusoids
+            continue
+        share[i] = drift_share.mean()
+        if share[i] < LEAST_SHARE:
+            continue
+        each = [
+            _innovations(root, np.diff(m.values[:, i]), _effects(m, settlings.get(i, 0.0)))
+            for m in segments
+        ]
+        power[:, i], dof[:, i] = np.concatenate(each) ** 2, 1.0
+    return PeriodLevels(power, dof, np.full(number, step), share)
+
+
+def _prediction(fit: AxisFit, tau0: float, step: int, number: int) -> tuple[Floats, Floats]:
+    """Return the root of the covariance of successive block means, and the shares of the drift.
+
+    The Cholesky root, (number, number), is for the differences between ``number`` + 1 neighboring
+    means over ``step`` samples. Differences are predicted, because the mean of the bias is unknown.
+    The shares, (number,), are the shares of the drift in the variance of each innovation.
+    """
+    lag = np.arange(number + 1)
+
+    def autocovariance(process: Process) -> Floats:
+        aliases = mean_alias(process, step)
+        if aliases:
+            return aliases * White().gamma(step, lag)
+        return process.gamma(step, lag)
+
+    total, drift = total_and_drift(fit, tau0, autocovariance, len(lag))
+    root: Floats = np.asarray(np.linalg.cholesky(_of_differences(total)), np.float64)
+    whitened: Floats = np.linalg.solve(root, np.linalg.solve(root, _of_differences(drift)).T)
+    return root, np.diag(whitened)
+
+
+def _innovations(root: Floats, differences: Floats, effects: Floats) -> Floats:
+    """Return the innovations, (n,), of differences, (n,), after effects are subtracted.
+
+    ``root`` is the first result of `_prediction`. Each column of ``effects``, (n, effects), is one
+    effect, whose size is fitted.
+    """
+    n = len(differences)
+    whitened = np.linalg.solve(root[:n, :n], np.column_stack([effects, differences]))
+    sizes = np.linalg.lstsq(whitened[:, :-1], whitened[:, -1], rcond=None)[0]
+    return np.asarray(whitened[:, -1] - whitened[:, :-1] @ sizes)
+
+
+def _of_differences(gamma: Floats) -> Floats:
+    """Return the covariance of the differences between neighboring means, (n, n).
+
+    ``gamma``, (n + 1,), is the autocovariance of the means at the lags 0 to n.
+    """
+    lag = np.arange(len(gamma) - 1)
+    values = 2.0 * gamma[lag] - gamma[np.abs(lag - 1)] - gamma[lag + 1]
+    return np.asarray(values[np.abs(lag[:, None] - lag)])
+
+
+def _effects(means: BlockMeans, time: float) -> Floats:
+    """Return the effects of a ramp and of a settling on the differences, (n, effects).
+
+    ``time`` is the time constant of the settling in samples; 0 for none.
+    """
+    number = len(means.values)
+    effects = [np.ones(number - 1)]
+    if time:
+        effects.append(np.diff(decay_of_means(time, means.step, number)))
+    return np.column_stack(effects)

@@ -27,15 +27,15 @@ from ..noise.processes.sinusoid import daily_cycle
 from .bias_changes import settling, settling_findings, step_findings
 from .candidates import Candidates
 from .coefficients import axis_fit, without_estimates
-from .drift_levels import innovation_levels, spectrum_levels
 from .fit_findings import axis_findings, merge_equal
 from .frequency_range import estimate
 from .likelihood import AxisData
 from .period_levels import (
     PeriodLevels,
+    innovation_levels,
     period_spectra,
     present_part,
-    scatter,
+    spectrum_levels,
     white_noise_levels,
 )
 from .result import METHODS, AxisFit, N, NoiseModel, Q
@@ -280,6 +280,68 @@ def level_findings(sums: AllanSums, levels: PeriodLevels, model: NoiseModel) -> 
 
 
 # --- predictive intervals -------------------------------------------------------------------------
+
+
+SCATTER = 0.005
+"""Probability in Bartlett's test below which the levels of the parts of a recording are regarded as
+different. Each sensor is tested with each number of parts in `SCALES`, which gives false alarms on
+at most 1.5 % of the sensors for each kind of level. Measured: 2 of 150 sensors for white noise, 7
+of 1800 for the spectra of drift, and 19 of 1800 for the innovations of the block means."""
+
+SCALES = (3, 6, 12)
+"""Numbers of parts of a recording whose levels are compared."""
+
+LEAST_PARTS = 3
+"""Fewest parts of a recording from which the scatter of the levels is computed."""
+
+
+def scatter(levels: PeriodLevels, axes: Sequence[int]) -> float:
+    """Return by how much the amplitude of the noise of a sensor may differ in another hour.
+
+    The logarithms of the levels of the parts of a recording are assumed to have a normally
+    distributed scatter in addition to the scatter of Gaussian noise (random effects;
+    R. DerSimonian, N. Laird, Controlled Clinical Trials 7, 1986). The scatter is computed for 3, 6
+    and 12 parts, and the largest significant value is used.
+
+    Parameters
+    ----------
+    levels : PeriodLevels
+        Levels of white noise or of drift.
+    axes : sequence of int
+        Indices of the axes of the sensor, which have a common scatter.
+
+    Returns
+    -------
+    float
+        Half of the width of the 95 % interval of the logarithm of the amplitude; 0 if the levels of
+        the parts do not differ significantly.
+    """
+    from scipy.special import chdtrc, polygamma, stdtrit
+
+    largest = 0.0
+    for parts in SCALES:
+        joined_levels = [(*levels.joined(axis, parts), float(levels.share[axis])) for axis in axes]
+        joined_levels = [
+            each for each in joined_levels if len(each[0]) >= LEAST_PARTS and each[0].min() > 0.0
+        ]
+        if not joined_levels:
+            continue
+        statistic, total_freedom, excess, information = 0.0, 0, 0.0, 0.0
+        for power, dof, share in joined_levels:
+            freedom = len(dof) - 1
+            correction = 1.0 + (np.sum(1.0 / dof) - 1.0 / dof.sum()) / (3.0 * freedom)
+            mean = np.average(power, weights=dof)
+            statistic += float(np.sum(dof * np.log(mean / power))) / correction
+            total_freedom += freedom
+            weight = 1.0 / polygamma(1, dof / 2.0)
+            level = np.log(power)
+            squares = weight @ (level - np.average(level, weights=weight)) ** 2
+            excess += float(squares) - freedom
+            information += float(weight.sum() - weight @ weight / weight.sum()) * share**2
+        if excess > 0.0 and chdtrc(total_freedom, statistic) < SCATTER:
+            quantile = float(stdtrit(total_freedom / len(joined_levels), 0.975))
+            largest = max(largest, quantile * math.sqrt(excess / information) / 2.0)
+    return largest
 
 
 def _with_predictive_intervals(

@@ -7,10 +7,9 @@ import pytest
 
 from allan_ros.core.allan.running import RunningSums
 from allan_ros.core.allan.sums import AllanSums
-from allan_ros.core.fit.drift_levels import MOST_MEANS, innovation_levels
-from allan_ros.core.fit.period_levels import scatter
+from allan_ros.core.fit.period_levels import MOST_MEANS, innovation_levels
 from allan_ros.core.fit.result import AxisFit
-from allan_ros.core.fit.stationary import fit_stationary
+from allan_ros.core.fit.stationary import fit_stationary, scatter
 from allan_ros.core.imu import AXES
 from allan_ros.core.noise import Model
 from allan_ros.core.simulator import simulate_axis
