@@ -9,9 +9,8 @@ Level of the drift
 ------------------
 The level is measured in the spectra of the periods, at frequencies with a relevant share of drift,
 and from the innovations of the block means. An innovation is the error with which the model
-predicts a block mean from all earlier block means
-of the segment, divided by the standard deviation of this error. If the model is right, the
-innovations are independent and have a variance of 1.
+predicts a block mean from all earlier block means of the segment, divided by the standard deviation
+of this error. If the model is right, the innovations are independent and have a variance of 1.
 """
 
 from __future__ import annotations
