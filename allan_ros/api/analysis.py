@@ -40,7 +40,6 @@ from ..results.analysis import analyze_recorded, one_thread
 from ..results.documents import RESULTS, SUMS, load_sums
 from ..results.documents import load as load_results
 from ..results.results import Results as PlainResults
-from ..results.simulation import is_truth, results_of_truth
 from .classes import Results, compared, public
 
 
@@ -167,6 +166,8 @@ def results_of(
     AllanError
         When the path cannot be read, or its data cannot be analyzed.
     """
+    from ..results.simulation import is_truth, results_of_truth  # rarely needed
+
     expect((PlainResults, *PATH), 'results or a path', source=path)
     if isinstance(path, PlainResults):
         return path

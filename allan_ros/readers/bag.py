@@ -21,9 +21,8 @@ import yaml
 from ..core.errors import AllanError
 from .bag_messages import Topic, Truncation, decompress_file, frame_compression, normal_type
 from .cdr import IMU_TYPE
-from .columns import listed
 from .files import MAX_BYTES, parse_yaml, read_bounded
-from .recording import METADATA, damaged, first_bytes, translated
+from .recording import METADATA, damaged, first_bytes, listed, translated
 
 _FORMATS = {b'\x89MCAP0\r\n': 'mcap', b'SQLite format 3\0': 'sqlite3', b'#ROSBAG': 'ros1'}
 """First bytes of a bag file -> format of the file, which is also the name of the module that reads
@@ -59,7 +58,7 @@ class Survey:
     def listed(self, keys: Iterable[TopicKey]) -> str:
         """Return the name, type and number of messages of these topics, as text.
 
-        If there are more than `columns.MOST_LISTED` topics, the others are counted.
+        If there are more than `recording.MOST_LISTED` topics, the others are counted.
         """
         shown = []
         for key in keys:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from ..core.errors import AllanError
 from ..core.imu import AXES, EPOCH_S, SAMPLE_SI, SAMPLE_UNITS, SENSORS, STAMP_UNITS, UNITS
-from .recording import ReadOptions
+from .recording import ReadOptions, listed
 from .unit_names import (
     NO_UNITS,
     SAMPLE_SPELLINGS,
@@ -388,17 +388,6 @@ def _group(name: str) -> str:
     """Return 'sample', 'time' or 'temperature' for the name of a column; '' if it is unknown."""
     kind = _meaning(name).kind
     return 'sample' if kind in SENSORS else kind if kind in ('', 'temperature') else 'time'
-
-
-MOST_LISTED = 10
-"""Largest number of columns or topics that a message names; the others are counted."""
-
-
-def listed(names: Sequence[str]) -> str:
-    """Return the first `MOST_LISTED` names and the number of further names, as text."""
-    text = ', '.join(names[:MOST_LISTED])
-    n_more = len(names) - MOST_LISTED
-    return f'{text} and {n_more} more' if n_more > 0 else text
 
 
 def _meaning(name: str) -> Meaning:

@@ -243,6 +243,17 @@ def optional_package(module: str, purpose: str) -> Any:
         ) from None
 
 
+MOST_LISTED = 10
+"""Largest number of columns or topics that a message names; the others are counted."""
+
+
+def listed(names: Sequence[str]) -> str:
+    """Return the first `MOST_LISTED` names and the number of further names, as text."""
+    text = ', '.join(names[:MOST_LISTED])
+    n_more = len(names) - MOST_LISTED
+    return f'{text} and {n_more} more' if n_more > 0 else text
+
+
 def first_bytes(path: Path) -> bytes:
     """Return the first 64 bytes of a file, or all bytes of a shorter file.
 

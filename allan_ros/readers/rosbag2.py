@@ -24,7 +24,6 @@ from ..core.stream.signal import Decimated, TemperatureTrace, trace_of
 from .bag import ENCODINGS, Bag, Survey, TopicKey, bag_of
 from .bag_messages import Messages, Payloads, Topic, among, decompress, frame_compression
 from .cdr import IMU_TYPE, Encoding, MalformedMessage, decode_imus, decode_temperature
-from .columns import listed
 from .recording import (
     BATCH,
     MAX_CHUNK_BYTES,
@@ -34,6 +33,7 @@ from .recording import (
     Report,
     SourceInfo,
     in_batches,
+    listed,
 )
 
 if TYPE_CHECKING:

@@ -37,12 +37,11 @@ from .columns import (
     LEFT_OUT,
     ColumnLayout,
     columns_of,
-    listed,
     names_by_file,
     picked_names,
 )
 from .files import open_regular
-from .recording import BATCH, ReadOptions, Recording, Report, SourceInfo
+from .recording import BATCH, ReadOptions, Recording, Report, SourceInfo, listed
 from .unit_names import to_celsius
 
 T = TypeVar('T')
