@@ -397,14 +397,14 @@ def innovation_levels(
             continue
         try:
             number_of_longest = max(len(m.values) for m in segments) - 1
-            root, drift_share = _prediction(fit, sums.tau0 or 1.0, step, number_of_longest)
+            whitening, drift_share = _prediction(fit, sums.tau0 or 1.0, step, number_of_longest)
         except np.linalg.LinAlgError:  # nearly all power is at the frequencies of sinusoids
             continue
         share[i] = drift_share.mean()
         if share[i] < LEAST_SHARE:
             continue
         each = [
-            _innovations(root, np.diff(m.values[:, i]), _effects(m, settlings.get(i, 0.0)))
+            _innovations(whitening, np.diff(m.values[:, i]), _effects(m, settlings.get(i, 0.0)))
             for m in segments
         ]
         power[:, i], dof[:, i] = np.concatenate(each) ** 2, 1.0
@@ -412,12 +412,15 @@ def innovation_levels(
 
 
 def _prediction(fit: AxisFit, tau0: float, step: int, number: int) -> tuple[Floats, Floats]:
-    """Return the root of the covariance of successive block means, and the shares of the drift.
+    """Return the matrix that whitens successive block means, and the shares of the drift.
 
-    The Cholesky root, (number, number), is for the differences between ``number`` + 1 neighboring
-    means over ``step`` samples. Differences are predicted, because the mean of the bias is unknown.
-    The shares, (number,), are the shares of the drift in the variance of each innovation.
+    The matrix, (number, number), is the inverse Cholesky root of the covariance of the differences
+    between ``number`` + 1 neighboring means over ``step`` samples. Differences are predicted,
+    because the mean of the bias is unknown. The shares, (number,), are the shares of the drift in
+    the variance of each innovation.
     """
+    from scipy.linalg import lapack  # slow to import
+
     lag = np.arange(number + 1)
 
     def autocovariance(process: Process) -> Floats:
@@ -427,19 +430,18 @@ def _prediction(fit: AxisFit, tau0: float, step: int, number: int) -> tuple[Floa
         return process.gamma(step, lag)
 
     total, drift = total_and_drift(fit, tau0, autocovariance, len(lag))
-    root: Floats = np.asarray(np.linalg.cholesky(_of_differences(total)), np.float64)
-    whitened: Floats = np.linalg.solve(root, np.linalg.solve(root, _of_differences(drift)).T)
-    return root, np.diag(whitened)
+    whitening = lapack.dtrtri(np.linalg.cholesky(_of_differences(total)), lower=1)[0]
+    return whitening, np.sum(whitening @ _of_differences(drift) * whitening, axis=1)
 
 
-def _innovations(root: Floats, differences: Floats, effects: Floats) -> Floats:
+def _innovations(whitening: Floats, differences: Floats, effects: Floats) -> Floats:
     """Return the innovations, (n,), of differences, (n,), after effects are subtracted.
 
-    ``root`` is the first result of `_prediction`. Each column of ``effects``, (n, effects), is one
-    effect, whose size is fitted.
+    ``whitening`` is the first result of `_prediction`. Each column of ``effects``, (n, effects), is
+    one effect, whose size is fitted.
     """
     n = len(differences)
-    whitened = np.linalg.solve(root[:n, :n], np.column_stack([effects, differences]))
+    whitened = whitening[:n, :n] @ np.column_stack([effects, differences])
     sizes = np.linalg.lstsq(whitened[:, :-1], whitened[:, -1], rcond=None)[0]
     return np.asarray(whitened[:, -1] - whitened[:, :-1] @ sizes)
 
