@@ -136,8 +136,8 @@ class StampSorter:
 
     Windows of 2 * `REORDER` samples, which overlap by half, are sorted. A window with a sample that
     is delayed by more than `REORDER` sample periods is not sorted, because the clock was set back
-    within the window, or the stamps come from two clocks. ``sorted`` is the number of samples that
-    arrived late.
+    within the window, or the stamps come from two clocks. ``sorted`` is the number of late samples
+    in the windows that were sorted.
     """
 
     def __init__(self, stamps: Stamps = np.empty(0, np.int64)) -> None:
@@ -166,7 +166,7 @@ class StampSorter:
         return [self._take(number)]
 
     def flush(self) -> ImuBatch:
-        """Return the buffered samples at the end of the input."""
+        """Return the buffered samples, sorted, at the end of the input."""
         return self._take(len(self._pending))
 
     @classmethod
@@ -237,7 +237,7 @@ class CoveredTime:
         self._was_new = False  # whether the latest sample was kept
 
     def feed(self, samples: ImuBatch) -> ImuBatch:
-        """Return the samples whose time is not covered yet; their time is covered afterwards."""
+        """Return the samples whose time is not covered yet, and mark their time as covered."""
         stamps = samples.stamps_ns
         if not len(stamps):
             return samples
@@ -254,7 +254,7 @@ class CoveredTime:
         return samples.part(is_new)
 
     def _is_new(self, stamp: int) -> bool:
-        """Return whether a stamp is in no covered stretch; if so, the stamp becomes covered."""
+        """Return whether the sample with this stamp is kept; if so, mark its time as covered."""
         if self._was_new and stamp == self._present[1]:
             return True
         for stretch in self._stretches:
@@ -352,7 +352,7 @@ sample more often may be stuck."""
 
 
 class RepeatFilter:
-    """Interpolates samples that repeat the previous sample, in evenly spaced blocks.
+    """Interpolates the samples of evenly spaced blocks that repeat the previous sample.
 
     ``groups`` are lists of indices of axes. A sample that equals the previous sample on all axes of
     a group is interpolated on these axes, unless more than `LONGEST_REPEAT` such samples follow one

@@ -125,12 +125,12 @@ class DriveRecorder:
 
     @property
     def complete(self) -> Drives:
-        """The drives whose second rest is over or long enough."""
+        """Errors of the drives whose second rest is over or long enough."""
         return Drives(tuple(self._drives), Counter(self._unused))
 
     @property
     def result(self) -> Drives:
-        """The drives as if the input ended here."""
+        """Errors of the drives as if the input ended here."""
         drives, unused = tuple(self._drives), Counter(self._unused)
         if self._drive is not None:
             second_rest = self._mean(self._first)
@@ -194,8 +194,8 @@ class DriveRecorder:
     def _errors(self, pending: _Pending, second_rest: Rest) -> DriveErrors:
         """Return the errors of a drive, from means of samples at `MOST_RATE` or less."""
         rows, k = pending.rows, max(math.ceil(1.0 / (self._tau0 * MOST_RATE) - 1e-9), 1)
-        # up to k - 1 samples at the end are omitted; the IMU is already at rest there, because a
-        # rest begins some time after the motion
+        # up to k - 1 samples at the end of the drive are omitted; the IMU is already at rest then,
+        # because the detected rest begins some time after the motion
         averaged = len(rows) // k * k
         means = rows[:averaged].reshape(-1, k, len(AXES)).mean(axis=1)
         gyro, accel, tau0 = means[:, :3], means[:, 3:], k * self._tau0

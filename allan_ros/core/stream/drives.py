@@ -7,9 +7,10 @@ Gyro and accelerometer are integrated from one rest to the next. At the second r
 
 Notation
 --------
-C(t) rotates vectors from the axes of the sensor at time t to its axes at the first rest. It is
-integrated from the angular rates w minus their mean at the first rest. f is the specific force, f1
-and f2 are its means at the two rests, and T is the duration of the drive. The residuals are
+w is the measured angular rate minus its mean at the first rest. C(t) is integrated from w. It
+rotates vectors from the axes of the sensor at time t to its axes at the first rest. f is the
+specific force, f1 and f2 are its means at the two rests, and T is the duration of the drive. The
+residuals are
 
     rotation:  C(T) f2 - f1                      (0 without errors: gravity is the same)
     velocity:  integral of C(t) f(t) dt - f1 T   (0 without errors: the velocity is 0 at both rests)
@@ -120,7 +121,7 @@ class DriveErrors:
     follows : bool
         Whether the previous drive ended at the first rest.
     force, end : (3,) array, (3, 3) array
-        f1 in m/s^2, and C(T).
+        f1 (mean specific force at the first rest) in m/s^2, and C(T) of the module text.
     residual : (9,) array
         Residuals in m/s^2 (rotation), m/s (velocity) and rad/s (rate).
     white, rests : (6, 9, 9) array
@@ -160,9 +161,9 @@ class DriveErrors:
     earth: Floats
 
     def white_covariances(self, density: Sequence[float]) -> dict[str, Floats]:
-        """Return the covariances of the residuals due to white noise, (9, 9), for each cause.
+        """Return cause -> covariance of the residuals, (9, 9), due to white noise.
 
-        The keys are 'gyro' and 'accel' for the noise of each sensor during the drive, and 'rests'
+        The causes are 'gyro' and 'accel' for the noise of each sensor during the drive, and 'rests'
         for the noise of both sensors at the rests. ``density`` contains N of the six axes in SI.
         """
         squares = np.square(density)[:, None, None]
@@ -174,7 +175,10 @@ class DriveErrors:
         }
 
     def slow_covariance(self, axis: int, slow: DriftCovariance) -> Floats:
-        """Return the covariance of the residuals, (9, 9), due to the noise ``slow`` of one axis."""
+        """Return the covariance of the residuals, (9, 9), due to slow noise of one axis.
+
+        ``axis`` is the index of the axis, and ``slow`` is the autocovariance of its noise.
+        """
         lags = np.arange(len(self.slow))
         weights, autocovariance = self.slow[:, :, axis], np.asarray(slow(self.block, lags))
         return np.asarray(weights.T @ autocovariance[np.abs(lags[:, None] - lags)] @ weights)
@@ -275,7 +279,10 @@ def drive_errors(drive: Drive) -> DriveErrors:
 
 
 def cross_matrices(v: Floats) -> Floats:
-    """Return the matrices [v]x of vectors v, (..., 3), with [v]x a = v x a; (..., 3, 3)."""
+    """Return the matrix [v]x, for which [v]x a = v x a, of each vector v.
+
+    ``v`` is (..., 3), and the result is (..., 3, 3).
+    """
     matrices = np.zeros((*v.shape[:-1], 3, 3))
     matrices[..., 0, 1], matrices[..., 0, 2], matrices[..., 1, 2] = (
         -v[..., 2],
@@ -297,7 +304,7 @@ def rotation_matrices(v: Floats) -> Floats:
 
 
 def _cumulative_products(matrices: Floats) -> Floats:
-    """Return the product of the first k + 1 of n matrices for each k, (n, 3, 3).
+    """Return the products of the first 1, 2, ..., n of n matrices, (n, 3, 3).
 
     The products are computed in log2(n) steps.
     """

@@ -278,13 +278,13 @@ def stream_findings(
 
     received, used = max(c.received, 1), max(c.used, 1)
     rate = 1.0 / sums[0].tau0 if sums and sums[0].tau0 else health.rate_hz
-    declared, base = settings.declared_rate, health.base_rate_hz
-    rate_differs = declared and rate and abs(rate / declared - 1.0) > RATE_CHANGE
+    declared_rate, base_rate = settings.declared_rate, health.base_rate_hz
+    rate_differs = declared_rate and rate and abs(rate / declared_rate - 1.0) > RATE_CHANGE
     low, high = PLAUSIBLE_RATE_HZ
     add('rate_implausible', rate and not low <= rate <= high, rate=rate)
-    add('rate_differs', rate_differs, measured=rate, declared=declared)
+    add('rate_differs', rate_differs, measured=rate, declared=declared_rate)
     add('frames_dropped', health.dropped_frames, count=health.dropped_frames, samples=c.other_frame)
-    add('rate_assumed', base and rate, rate=rate, base=base)
+    add('rate_assumed', base_rate and rate, rate=rate, base=base_rate)
     add('bursty_stamps', health.bursty and rate, rate=rate)
     kept_share = 1.0 - c.backward / received
     has_mixed_stamps = health.bursty and kept_share < 1.0 - REPORTED_DROPPED_SHARE
@@ -336,12 +336,13 @@ def stream_findings(
     add('never_still', never_at_rest, seconds=c.moving / rate)
     classified = max(c.moving + c.noise_increased + c.used, 1)
     add('motion', c.moving and not never_at_rest, share=c.moving / classified)
-    for each in sums:
-        axes_without_noise = (
-            tuple(np.array(each.axes)[each.sum_sq[0] == 0.0].tolist()) if len(each.m) else ()
-        )
+    for stream_sums in sums:
+        axes_without_noise: tuple[str, ...] = ()
+        if len(stream_sums.m):
+            has_no_noise = stream_sums.sum_sq[0] == 0.0
+            axes_without_noise = tuple(np.array(stream_sums.axes)[has_no_noise].tolist())
         add('no_noise', axes_without_noise, axes_without_noise)
-        findings += [*_equal_axes(each), *unit_findings(each)]
+        findings += [*_equal_axes(stream_sums), *unit_findings(stream_sums)]
     add('nothing_left', c.received and not sums, received=c.received)
     return findings
 

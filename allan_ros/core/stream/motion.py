@@ -63,8 +63,8 @@ CHECKED_WINDOWS = BLOCK_WINDOWS // 4
 ESTABLISHED_S = 45.0
 """A noise level with less than this time in s at rest, or with clipped samples, is not established.
 If the noise increases after such a level, the low noise was due to a fault or to another setting of
-the low-pass filter at the start. The increased noise is then normal at once, unless it exceeds the
-noise floor by more than `SHAKEN_RATIO` on at least `MOVING_AXES` axes."""
+the low-pass filter at the start. The increased noise then counts as normal at once, unless it
+exceeds the noise floor by more than `SHAKEN_RATIO` on at least `MOVING_AXES` axes."""
 
 FAULTY_S = 600.0
 """Time in s for which decreased noise is regarded as a fault, even if the decreased noise has
@@ -80,12 +80,12 @@ MOST_FILLED = 0.1
 class MotionGate:
     """Detects motion, and keeps only the samples at rest.
 
-    It divides the samples into windows, removes spikes, and learns the noise floor, with which
-    `RestFilter` decides about each window. After every `CHECKED_WINDOWS` windows, another noise
-    level begins or continues if it fits these windows better than the present level.
-    ``period_ns`` is the sample period. For example, a window is moving if its standard deviation is
-    more than ``settings.motion_ratio`` times the noise floor, or if its mean angular rate differs
-    from the rate at rest by more than ``settings.rate_limit`` and more than noise explains.
+    The gate divides the samples into windows, removes spikes, and learns the noise floor, with
+    which `RestFilter` decides whether a window is at rest. For example, a window is moving if its
+    standard deviation is more than ``settings.motion_ratio`` times the noise floor, or if its mean
+    angular rate differs from the rate at rest by more than ``settings.rate_limit`` and more than
+    noise explains. After every `CHECKED_WINDOWS` windows, another noise level begins or continues
+    if it fits these windows better than the present level. ``period_ns`` is the sample period.
     ``levels``, ``events``, and the numbers of spikes and splits in ``counts`` are changed in place.
     """
 

@@ -158,7 +158,7 @@ class NoiseFloor:
     def learned(
         cls, parts: list[Floats], size: int, gyro: Flags, settings: SegmenterSettings
     ) -> NoiseFloor:
-        """Return the noise floor of the first samples; a quarter of them should be at rest.
+        """Return the noise floor of samples, of which at least a quarter should be at rest.
 
         Each part, (axes, n), is a sequence of samples without a gap. Windows in which an axis
         repeats one value do not contribute to the noise of this axis, if the axis changes in at
@@ -183,7 +183,7 @@ class NoiseFloor:
         part_windows = [Windows.of(rows, min(size, rows.shape[1])) for rows in parts]
         windows = Windows.joined(part_windows)
         mean_steps = np.concatenate(
-            [np.abs(np.diff(each.mean, axis=1)) for each in part_windows], axis=1
+            [np.abs(np.diff(part.mean, axis=1)) for part in part_windows], axis=1
         )
         sample_steps = np.concatenate([np.abs(np.diff(rows, axis=1)) for rows in parts], axis=1)
         lsb = np.where(sample_steps > 0.0, sample_steps, np.inf).min(axis=1)
@@ -193,16 +193,16 @@ class NoiseFloor:
         )
         is_mostly_stuck = (stuck_windows.mean(axis=1) > 1.0 - QUANTILE)[:, None]
         axis_windows = [
-            Windows(windows.values[:, [axis]][:, :, flags])
-            for axis, flags in enumerate(~stuck_windows | is_mostly_stuck)
+            Windows(windows.values[:, [axis]][:, :, is_used])
+            for axis, is_used in enumerate(~stuck_windows | is_mostly_stuck)
         ]
         return cls(
             size,
             gyro,
             settings,
-            variance=np.concatenate([_quantile(each.variance, QUANTILE) for each in axis_windows]),
+            variance=np.concatenate([_quantile(used.variance, QUANTILE) for used in axis_windows]),
             step=MAD_TO_SIGMA * _quantile(mean_steps, 0.5) if mean_steps.size else zeros,
-            mean=np.concatenate([_quantile(each.mean, 0.5) for each in axis_windows]),
+            mean=np.concatenate([_quantile(used.mean, 0.5) for used in axis_windows]),
             lsb=lsb,
             ratio=von_neumann_ratio(parts),
             clipped=clipped_shares(np.concatenate(parts, axis=1)),
@@ -216,7 +216,7 @@ class NoiseFloor:
         return np.asarray(self.outliers >= max(LEAST_HEAVY, HEAVY_SHARE * self.examined))
 
     def with_outliers(self, rows: Floats) -> NoiseFloor:
-        """Return this noise floor with the outliers among samples added to its counts.
+        """Return this noise floor with the outliers among further samples added to its counts.
 
         ``rows``, (axes, k * size), are the samples of k windows.
         """
@@ -263,7 +263,7 @@ class NoiseFloor:
         return self.limits_of(self.size)
 
     def limits_of(self, size: int) -> RestLimits:
-        """Return the limits of windows of any number of samples."""
+        """Return the limits of windows of ``size`` samples, also of a short window before a gap."""
         # added to the limits: infinite for an axis without noise
         allowance = np.where(self.scale > 0.0, 0.0, np.inf)
         # the variance of few samples is uncertain, so short windows are classified by their peak
@@ -406,7 +406,7 @@ class NoiseFloor:
         if np.count_nonzero(axes) < MOVING_AXES:
             return False
         gravity_before, gravity_now = (
-            np.linalg.norm(each.mean[~self.gyro]) for each in (former, self)
+            np.linalg.norm(floor.mean[~self.gyro]) for floor in (former, self)
         )
         if abs(gravity_before - gravity_now) > SAME_GRAVITY * max(gravity_before, gravity_now):
             return False

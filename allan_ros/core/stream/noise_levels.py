@@ -235,11 +235,11 @@ class NoiseLevels:
         self._forget_ratios()
 
     def add_increase(self, ratio: Floats) -> None:
-        """Add ratios of increased noise to the noise floor, (axes,), to ``largest_ratio``."""
+        """Update ``largest_ratio`` with the ratios of increased noise to the floor, (axes,)."""
         self.largest_ratio = np.maximum(self.largest_ratio, ratio)
 
     def add_decrease(self, variance: Floats, decreased: Flags, floor: Floats) -> None:
-        """Add the ratios of k windows with decreased noise to ``smallest_ratio``.
+        """Update ``smallest_ratio`` with the ratios of decreased noise to the floor in k windows.
 
         ``variance`` and ``decreased``, (axes, k), are the variances and the flags for decreased
         noise. ``floor``, (axes,), is the variance of the noise floor.

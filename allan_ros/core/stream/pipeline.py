@@ -155,13 +155,13 @@ class ImuStream:
 
         The drives are those with the frame_id that has the most data. There are no drives if an
         axis is absent, if gyro and accelerometer have different rates or are in different streams,
-        or if motion detection is switched off. Before `end`, a drive is complete when its second
+        or if motion detection is switched off. Before `end`, a drive is included when its second
         rest is over or long enough.
         """
         most_used = max(
             self._frames.values(), key=lambda each: each.counts.used, default=self._present
         )
-        recorders = [each.recorder for each in most_used.sensors if each.recorder is not None]
+        recorders = [s.recorder for s in most_used.sensors if s.recorder is not None]
         if not recorders:
             return NO_DRIVES
         return recorders[0].result if self._ended else recorders[0].complete
@@ -170,7 +170,7 @@ class ImuStream:
         """Return the results as if the input ended here; the stream is not changed."""
         ended = self if self._ended else self._at_end()
         longest = ended._longest()
-        sums = tuple(each.sums for each in longest)
+        sums = tuple(stream_sums.sums for stream_sums in longest)
         segments = longest[0].segments if longest else ()
         return Accumulation(sums, *ended._health(self._state_with(ended), sums), segments)
 
@@ -219,11 +219,11 @@ class ImuStream:
         """Return the sums with the longest elapsed time for each sensor with data."""
         frames = self._frames.values()
         sensors = [sensor for frame in frames for sensor in (*frame.earlier, *frame.sensors)]
-        results = [each for sensor in sensors for each in sensor.by_rate()]
+        results = [stream_sums for sensor in sensors for stream_sums in sensor.by_rate()]
         longest: dict[str, StreamSums] = {}
-        for each in sorted(results, key=lambda each: -each.sums.elapsed_ns):
-            for axis in each.sums.axes:
-                longest.setdefault(axis, each)
+        for stream_sums in sorted(results, key=lambda result: -result.sums.elapsed_ns):
+            for axis in stream_sums.sums.axes:
+                longest.setdefault(axis, stream_sums)
         return tuple(
             {id(longest[axis]): longest[axis] for axis in AXES if axis in longest}.values()
         )
@@ -234,11 +234,11 @@ class ImuStream:
         """Return the health and the findings; ``longest`` are the sums that are reported."""
         frame = self._present
         counts = Counts(received=self._received)
-        for each in (self._dropped, *(frame.counts for frame in self._frames.values())):
-            counts.add(each)
+        for frame_counts in (self._dropped, *(frame.counts for frame in self._frames.values())):
+            counts.add(frame_counts)
         clock = frame.sensors[0].clock.clock if frame.sensors else None
         gates = [sensor.gate for sensor in frame.sensors if sensor.gate is not None]
-        streams = [s for each in self._frames.values() for s in (*each.earlier, *each.sensors)]
+        streams = [s for frame in self._frames.values() for s in (*frame.earlier, *frame.sensors)]
         health = StreamHealth(
             counts=counts,
             state=present.state,
@@ -254,7 +254,7 @@ class ImuStream:
             largest_increase=_united(gate.increases for gate in gates),
             discarded_s=max((stream.lost_s for stream in streams), default=0.0),
             outliers=_united(gate.heavy_tails for gate in gates),
-            events=tuple(each for s in (*frame.earlier, *frame.sensors) for each in s.events.items),
+            events=tuple(e for s in (*frame.earlier, *frame.sensors) for e in s.events.items),
             dropped_frames=self._dropped_frames,
             largest_decrease=_united(gate.decreases for gate in gates),
             stuck_axes=tuple(axis for gate in gates for axis in gate.stuck),
@@ -277,7 +277,7 @@ class ImuStream:
 
 
 def _united(parts: Iterable[Mapping[str, float]]) -> dict[str, float]:
-    """Return axis -> number for the axes of all parts."""
+    """Return one dict with the axes of all ``parts``: axis -> number."""
     return {axis: number for part in parts for axis, number in part.items()}
 
 
@@ -375,7 +375,7 @@ class FrameStream:
 
     def _learn_from(self, batch: ImuBatch) -> ImuBatch:
         """Buffer the first samples until they suffice to learn from; return the other samples."""
-        stamps = [each.stamps_ns for each in (*self._buffer, batch[:LEARN])]
+        stamps = [samples.stamps_ns for samples in (*self._buffer, batch[:LEARN])]
         number_needed = learned_from(np.concatenate(stamps))
         number_taken = min((number_needed or LEARN) - self._buffered, len(batch))
         self._buffer.append(batch[np.arange(number_taken)])  # an index array makes a copy

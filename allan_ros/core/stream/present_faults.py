@@ -71,8 +71,9 @@ def noise_now(health: StreamHealth, sums: Iterable[AllanSums]) -> list[Finding]:
     The ratio must exceed `LARGER_NOISE`.
     """
     findings = []
-    for each in sums:
-        for axis, avar in zip(each.axes, each.avar[0] if len(each.m) else ()):
+    for stream_sums in sums:
+        avars = stream_sums.avar[0] if len(stream_sums.m) else ()
+        for axis, avar in zip(stream_sums.axes, avars):
             if avar > 0.0 and health.noise.get(axis, 0.0) > LARGER_NOISE * avar**0.5:
                 ratio = health.noise[axis] / float(avar) ** 0.5
                 findings.append(finding('noise_now', (axis,), ratio=ratio))

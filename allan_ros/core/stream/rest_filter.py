@@ -81,8 +81,8 @@ def without_spikes(
     sigma = MAD_TO_SIGMA * np.median(np.abs(samples - median[:, None]), axis=1)
     # where the noise exceeds the noise floor significantly, the threshold of a spike is higher
     has_more_noise = SPIKE_SIGMAS * sigma > (1.0 + 5.0 / np.sqrt(size)) * threshold[axes]
-    height = np.where(has_more_noise, SPIKE_SIGMAS * sigma, threshold[axes])
-    deviates = np.abs(samples - median[:, None]) > height[:, None]
+    spike_height = np.where(has_more_noise, SPIKE_SIGMAS * sigma, threshold[axes])
+    deviates = np.abs(samples - median[:, None]) > spike_height[:, None]
     # if more than a few samples deviate, the IMU moves, and no sample is replaced
     has_few_spikes = np.count_nonzero(deviates, axis=1) <= 1 + size // LEAST_WINDOW
     extended_rows = np.concatenate([before, rows, after], axis=1)
@@ -93,14 +93,14 @@ def without_spikes(
         values, j = extended_rows[axis], i + before.shape[1]
         begin = max(0, j - SPIKE_NEIGHBORS)
         deviation = np.abs(values[begin : j + SPIKE_NEIGHBORS + 1] - median[n])
-        if _is_isolated(deviation > NEIGHBOR_RATIO * height[n], j - begin):
+        if _is_isolated(deviation > NEIGHBOR_RATIO * spike_height[n], j - begin):
             cleaned[axis, i] = 0.5 * (values[j - 1] + values[j + 1])
             is_spike[axis, i] = True
-    changed = is_spike.any(axis=0).reshape(-1, size).any(axis=1)
-    if not changed.any():
+    has_spike = is_spike.any(axis=0).reshape(-1, size).any(axis=1)
+    if not has_spike.any():
         return block, windows, 0
-    cleaned_windows = cleaned.reshape(len(rows), -1, size)[:, changed].reshape(len(rows), -1)
-    windows.values[:, :, changed] = Windows.of(cleaned_windows, size).values
+    cleaned_windows = cleaned.reshape(len(rows), -1, size)[:, has_spike].reshape(len(rows), -1)
+    windows.values[:, :, has_spike] = Windows.of(cleaned_windows, size).values
     is_spike[floor.heavy] = False
     former_filled = 0 if block.filled is None else block.filled
     filled = np.where(is_spike, 1, former_filled).astype(np.int32)
@@ -173,7 +173,7 @@ class Motion:
         self._total: float | Floats = 0.0  # sum of the samples of the motion, (axes,)
 
     def add(self, window: ImuBatch, mean: Floats, found: WindowClass) -> None:
-        """Add the next window with its mean, (axes,), and its flags."""
+        """Add the next window with its mean, (axes,), and its classification."""
         self.quiet = self.quiet + 1 if found.quiet else 0
         self.steady = self.steady + 1 if found.quiet or found.rotating else 0
         if not found.quiet:
@@ -231,9 +231,10 @@ class Motion:
             return []
         # means of the quiet windows at the end, except for the first, which is replaced
         means_after = list(self._after)[1 - self.quiet :]
-        number = min(len(self.before), len(means_after))
+        number_compared = min(len(self.before), len(means_after))
         first_mean, last_mean = (
-            np.mean(w, axis=0) for w in (self.before[-number:], means_after[:number])
+            np.mean(means, axis=0)
+            for means in (self.before[-number_compared:], means_after[:number_compared])
         )
         turned_rad = (self._total - self._samples * first_mean)[floor.gyro] * period_s
         block = joined(held[: 1 - self.quiet])
@@ -244,7 +245,7 @@ class Motion:
         fraction = np.arange(1, n + 1) / (n + 1)
         rows = first_mean[:, None] + (last_mean - first_mean)[:, None] * fraction
         self.level.replaced += n
-        filled = np.full(rows.shape, number * floor.size, np.int32)
+        filled = np.full(rows.shape, number_compared * floor.size, np.int32)
         return [ImuBatch.of_rows(block.stamps_ns, rows, block.cut, filled), *held[1 - self.quiet :]]
 
 
@@ -335,7 +336,10 @@ class RestFilter:
         self._pass_held()
 
     def drop(self, samples: list[ImuBatch], cut: str) -> None:
-        """Exclude samples of a motion before a noise floor is known."""
+        """Exclude samples in motion before the noise floor is known.
+
+        ``cut`` is the kind of the motion, and the reason for the split.
+        """
         self._counts.moving += sum(map(len, samples))
         if self.motion is None:
             self.motion = Motion(cut, int(samples[0].stamps_ns[0]))
@@ -358,9 +362,9 @@ class RestFilter:
             motion.level, self._held = None, []
 
     def name_motion(self, kind: Change, samples: int) -> None:
-        """Count ``samples`` samples of the present motion as a change of the noise of this kind.
+        """Count ``samples`` samples as a change of the noise (``kind``) instead of motion.
 
-        The present motion, if any, gets this kind, and is no shock.
+        The present motion, if any, becomes an event of this kind, and is no shock.
         """
         self.drop_shock()
         counts = self._counts
@@ -379,7 +383,7 @@ class RestFilter:
             self._events.add(seconds, Event(motion.kind, motion.began_ns, seconds, changed))
 
     def _step(self, window: ImuBatch, mean: Floats, found: WindowClass) -> None:
-        """Update the state from one window and its flags; pass on the window if it is at rest."""
+        """Pass on a window at rest outside of a motion; add any other window to the motion."""
         if self.motion is None and not found.moving:
             self._release(window, mean[:, None], len(window))
             return

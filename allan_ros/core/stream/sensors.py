@@ -200,9 +200,9 @@ def are_interleaved(rows: Floats) -> bool:
         rows = np.round(rows / (ROUNDING_ERROR * np.ptp(rows, axis=1, keepdims=True)))
         differences = np.abs(rows[:, ::2].sum(axis=1) - rows[:, 1::2].sum(axis=1))
         sigma = np.sqrt(0.5 * n * np.mean((rows[:, 2:] - rows[:, :-2]) ** 2, axis=1))
-        levels = np.diff(np.sort(rows))
-        steps = np.where(levels > 0.0, levels, np.inf).min(axis=1)
-        limits = np.maximum(ALTERNATE_SIGMAS * sigma, 0.5 * n * SEPARATION_STEPS * steps)
+        level_gaps = np.diff(np.sort(rows))
+        resolutions = np.where(level_gaps > 0.0, level_gaps, np.inf).min(axis=1)
+        limits = np.maximum(ALTERNATE_SIGMAS * sigma, 0.5 * n * SEPARATION_STEPS * resolutions)
         if np.count_nonzero(differences > limits) >= ALTERNATE_AXES:
             return True
         for values in rows:
@@ -210,10 +210,10 @@ def are_interleaved(rows: Floats) -> bool:
             middle = n // 4 + int(np.argmax(np.diff(ordered[n // 4 : 3 * n // 4]))) + 1
             low, high = ordered[:middle], ordered[middle:]
             switches = np.count_nonzero(np.diff(values >= high[0]))
-            gap, levels = high[0] - low[-1], np.diff(ordered)
-            step = levels[levels > 0.0].min(initial=gap)
+            gap, level_gaps = high[0] - low[-1], np.diff(ordered)
+            resolution = level_gaps[level_gaps > 0.0].min(initial=gap)
             is_apart = gap > SEPARATION * max(low.std(), high.std()) > 0.0
-            if is_apart and gap > SEPARATION_STEPS * step and switches > SWITCH_SHARE * n:
+            if is_apart and gap > SEPARATION_STEPS * resolution and switches > SWITCH_SHARE * n:
                 return True
     return False
 

@@ -66,7 +66,7 @@ class SignalEnvelope:
             batch = batch[number_free:]
 
     def with_accel(self, other: SignalEnvelope) -> SignalEnvelope:
-        """Return a copy with the accelerometer of another topic, in the bins of this envelope."""
+        """Return a copy to which the accelerometer of another topic is added, in the same bins."""
         joined = deepcopy(self)
         accel = slice(len(AXES) // 2, None)
         # the bins of the other topic that cover the time of a bin are joined
@@ -213,7 +213,7 @@ GAP_BINS = 3.0
 
 
 class Excluded(NamedTuple):
-    """A period from ``start`` to ``end`` in s without used samples.
+    """A period from ``start`` to ``end`` in s whose samples are excluded or, in a shock, replaced.
 
     ``why`` is the kind of an `Event`, or '' for another reason, such as warm-up.
     """

@@ -119,8 +119,8 @@ class Clock:
         """Number of samples on each side of a pause whose delays are compared to detect a loss."""
         if not self.bursty:
             return LOOK_AHEAD
-        wanted = BURST_LOOK_AHEAD_S * 1e9 / self.period_ns
-        return int(min(max(wanted, LOOK_AHEAD), BURST_LOOK_AHEAD))
+        samples = BURST_LOOK_AHEAD_S * 1e9 / self.period_ns
+        return int(min(max(samples, LOOK_AHEAD), BURST_LOOK_AHEAD))
 
     @property
     def pause_ns(self) -> float:
@@ -207,9 +207,9 @@ def _common_step(step: Floats) -> float:
     shortest = float(np.sort(step)[int(MANY * len(step))])
     near_shortest = step[np.abs(step - shortest) <= EXACT * shortest]
     base = float(near_shortest.mean())
-    number = np.rint(step / base) if base else step
-    is_multiple = (np.abs(step - number * base) <= EXACT * base) & (number > 0)
-    has_many_longer = min(np.mean(number == 1), np.mean(number > 1)) >= MANY if base else False
+    multiple = np.rint(step / base) if base else step
+    is_multiple = (np.abs(step - multiple * base) <= EXACT * base) & (multiple > 0)
+    has_many_longer = min(np.mean(multiple == 1), np.mean(multiple > 1)) >= MANY if base else False
     return base if has_many_longer and is_multiple.mean() >= POLLED_SHARE else 0.0
 
 
@@ -226,8 +226,8 @@ def _clock_of(step: Floats, stamps: Stamps, polled: bool, declared: float) -> Cl
     median = float(np.median(step))
     near_median = step[np.abs(step - median) <= 0.5 * median]
     if polled and len(near_median) < POLLED_SHARE * len(step):
-        polls = np.count_nonzero((step > 0.4 * mean) & (step < 2.2 * mean))
-        if polls >= POLLED_SHARE * len(step):
+        number_near_mean = np.count_nonzero((step > 0.4 * mean) & (step < 2.2 * mean))
+        if number_near_mean >= POLLED_SHARE * len(step):
             return Clock(mean, mean, bursty=False)
     if median > 0.0 and len(near_median) >= REGULAR_SHARE * len(step):
         period = float(near_median.mean())
@@ -348,7 +348,7 @@ class SampleClock:
         else:
             first_rows = self._samples.rows[:, :number]
             self.is_interleaved = not self._polled and are_interleaved(first_rows)
-            if self.is_interleaved:  # with jitter, the end of the second IMU is found sooner
+            if self.is_interleaved:  # with jitter set, the end of the second IMU is found sooner
                 period_ns = self.clock.period_ns
                 self.clock = replace(self.clock, step_ns=period_ns, bursty=False, jitter=True)
             self.learned_ns, self._reach = self.clock.period_ns, self.clock.look_ahead
@@ -431,8 +431,8 @@ class SampleClock:
         """
         # samples from which the period was learned are not tested; otherwise, learning could repeat
         # forever
-        first = max(0, self._learned - self._blocks * CLOCK_BLOCK)
-        begins = np.arange(first, len(step) - CLOCK_BLOCK // 4 + 1, CLOCK_BLOCK)
+        first_tested = max(0, self._learned - self._blocks * CLOCK_BLOCK)
+        begins = np.arange(first_tested, len(step) - CLOCK_BLOCK // 4 + 1, CLOCK_BLOCK)
         if not len(begins):
             return len(step)
         number, end = len(step), int(begins[-1]) + CLOCK_BLOCK
@@ -453,7 +453,7 @@ class SampleClock:
             return number
         block_steps = step[begins[block] : begins[block] + CLOCK_BLOCK]
         is_unusual = block_steps > long_step
-        if not self.is_interleaved:  # if interleaved, some steps are always short
+        if not self.is_interleaved:  # with samples of two IMUs, some steps are always short
             is_unusual |= RATE_CHANGE_STEP * block_steps < clock.step_ns
         return int(begins[block]) + int(np.argmax(is_unusual))
 

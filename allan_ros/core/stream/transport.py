@@ -124,11 +124,11 @@ class Arrivals:
         stamps = (stamps_ns - self._origin_ns) / NANOSECONDS
         latest = 0.0 if self._latest is None else self._latest[0]
         former = np.append(latest, stamps[:-1])
-        difference = np.maximum(
+        largest_step = np.maximum(
             np.abs(stamps - former), np.abs(stamps - np.maximum.accumulate(former))
         )
-        starts = np.flatnonzero(difference > STEP_S)
-        for part in np.split(np.arange(len(stamps)), starts):
+        part_starts = np.flatnonzero(largest_step > STEP_S)
+        for part in np.split(np.arange(len(stamps)), part_starts):
             if len(part):
                 self._add(stamps[part], received_s[part], lost)
 
@@ -247,9 +247,9 @@ class TransportMonitor:
         findings with the most serious consequences come first.
 
         ``transport`` and ``health`` contain the counts since the start. ``publishers`` are the
-        names of the publishing nodes. After ``stale_after`` s without a message, this is reported.
-        ``stream`` are the findings about the complete stream. ``graph`` are findings about
-        publishers with an incompatible type or QoS; they are reported instead of missing messages.
+        names of the publishing nodes. ``stream`` are the findings about the complete stream.
+        ``graph`` are findings about publishers with an incompatible type or QoS. If there are none,
+        missing messages are reported after ``stale_after`` s without a message.
         """
         self._update(time_s, transport, health)
         present = [*graph] or self._silence(time_s, transport, publishers, stale_after)
@@ -265,10 +265,10 @@ class TransportMonitor:
             'noise_increased': ('noise_increased', 'gyro_unit_changed'),
             'noise_decreased': ('noise_decreased',),
         }
-        live = (*LIVE, *noise_findings.get(health.state, ()))
+        live_ids = (*LIVE, *noise_findings.get(health.state, ()))
         known_ids = {f.id for f in health.faults}
         present += health.faults
-        present += [f for f in stream if f.id in live and f.id not in known_ids]
+        present += [f for f in stream if f.id in live_ids and f.id not in known_ids]
         events, past = self._recent_findings(health)
         # present findings come first, because a past event must not hide a present fault
         return *by_consequence([*events, *present]), *by_consequence(past)
@@ -295,26 +295,27 @@ class TransportMonitor:
         counts.update({id: max(count, previous[id]) for id, count in events(health).items()})
         counts.update(missing=c.lost, dropped=c.not_finite + c.backward)
         counts.update(spikes=c.spikes, used=c.used)
-        self._count_unexplained(_more(counts, previous), has_progress)
+        self._count_unexplained(_increase_since(previous, counts), has_progress)
         counts.update(samples_missing=self._absent)
         self._history.append((time_s, counts))
         while len(self._history) > 2 and self._history[1][0] <= time_s - LATELY_S:
             self._history.popleft()
 
-    def _count_unexplained(self, more: Counter[str], progress: bool) -> None:
+    def _count_unexplained(self, new_counts: Counter[str], has_progress: bool) -> None:
         """Count the missing samples that no known cause explains.
 
-        ``more`` are the counts since the previous call. A cause is known before the samples are
-        found to be missing, because the samples after a gap must be classified first. ``progress``
-        tells whether usable samples arrived.
+        ``new_counts`` are the counts since the previous call. A cause is known before the samples
+        are found to be missing, because the samples after a gap must be classified first.
+        ``has_progress`` tells whether usable samples arrived.
         """
-        if any(more[cause] for cause in CAUSES_OF_LOSS):
+        if any(new_counts[cause] for cause in CAUSES_OF_LOSS):
             self._excused = EXCUSED
         if not self._excused:
-            previous, self._unexplained = self._unexplained, self._unexplained + more['missing']
+            previous = self._unexplained
+            self._unexplained += new_counts['missing']
             # the smaller of two counts, because the latest samples may turn out not to be missing
             self._absent = max(self._absent, min(self._unexplained, previous))
-        elif progress:
+        elif has_progress:
             self._excused -= 1
 
     def _silence(
@@ -352,8 +353,8 @@ class TransportMonitor:
             for time_of_counts, former_counts in self._history
             if time_of_counts <= time_s - PRESENT_S
         ] or [oldest_counts]
-        recent_counts = _more(counts, oldest_counts)
-        present_counts = _more(counts, earlier_counts[-1])
+        recent_counts = _increase_since(oldest_counts, counts)
+        present_counts = _increase_since(earlier_counts[-1], counts)
         # samples that were excluded until the clock was found to be set back are not reported
         recent_counts['backward_stamps'] -= (BACKWARD_RUN - 1) * recent_counts['clock_jumps']
         findings = event_findings(recent_counts, health, LATELY)
@@ -386,8 +387,8 @@ def _until_now(event: Finding) -> Finding:
     return replace(event, values={**event.values, 'when': UNTIL_NOW})
 
 
-def _more(counts: Counter[str], before: Counter[str]) -> Counter[str]:
-    """Return by how much each count has increased since ``before``."""
+def _increase_since(before: Counter[str], counts: Counter[str]) -> Counter[str]:
+    """Return by how much each of the ``counts`` is larger than ``before``."""
     increase = counts.copy()
     increase.subtract(before)
     return increase

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Windows of a stream: statistics, classification, and the latest windows of a stream."""
+"""Windows of about half a second of samples: statistics, classification, and the latest windows."""
 
 from __future__ import annotations
 
@@ -186,7 +186,7 @@ class RecentWindows:
 
     @property
     def can_be_larger_noise(self) -> bool:
-        """Whether the noise may be larger: no window is at rest, has less noise, or is foreign."""
+        """Whether the noise may exceed the floor: no window is at rest, decreased or foreign."""
         found = self.found
         return not (self.still.any() or (found.decreased | found.foreign).any())
 
