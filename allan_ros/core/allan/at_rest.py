@@ -52,8 +52,9 @@ noise contains independent rounding errors. A larger ratio therefore shows that 
 of successive samples are not independent."""
 
 LEAST_POINTS = 8
-"""Fewest different numbers in which a rounding step is searched for: phase values, and differences
-between sums of blocks. A few numbers can be multiples of some step by chance."""
+"""Fewest different numbers in which a rounding step is searched for. The numbers are cumulative
+sums of the samples, and differences between sums of blocks. A few numbers can be multiples of some
+step by chance."""
 
 ROUNDING_SHARE = 0.1
 """Least ratio of the variance of the rounding error to the variance of the white noise for which
@@ -72,12 +73,12 @@ class AtRest:
         Difference between the largest and the smallest of up to 16 means of equal length. The
         difference includes the noise of the means. None if there are fewer than two means.
     temperature : float or None
-        Mean temperature in degC during the means of the drift; None if there are fewer than two
-        readings, or if the readings cover none of the means.
+        Mean temperature in degC during the means of the drift. Means that do not lie completely
+        between the first and the last reading are excluded; None if no mean remains.
     slope : Estimate or None
         Change of the means per K, by least squares. A drift with time is not separated from the
-        effect of the temperature. None if the temperature varied by less than 3 K, or is known for
-        fewer than four means.
+        effect of the temperature. None if the temperatures of the means differ by less than 3 K, or
+        are known for fewer than four means.
     bandwidth : float or None
         Frequency in Hz up to which the noise density is at least 0.71 N; half of the sample rate if
         the density is nowhere lower. None if N or the spectrum is unknown, or if the density is
@@ -179,23 +180,24 @@ def turn_on_bias(means: Floats, variance: float = 0.0) -> TurnOnBias | None:
     low, high = (
         total_variance * degrees / quantile for quantile in chdtri(degrees, [0.025, 0.975])
     )
-    center = float(np.mean(means))
+    mean_bias = float(np.mean(means))
     scatter_limits = [math.sqrt(max(v - variance, 0.0)) for v in (low, high)]
     if total_variance <= variance or (
         variance and chdtrc(degrees, degrees * total_variance / variance) > 0.01
     ):
         limit = Estimate(None, None, scatter_limits[1] or None, 'not_observable')
-        return TurnOnBias(len(means), center, limit)
+        return TurnOnBias(len(means), mean_bias, limit)
     scatter = Estimate(math.sqrt(total_variance - variance), (scatter_limits[0], scatter_limits[1]))
-    return TurnOnBias(len(means), center, scatter)
+    return TurnOnBias(len(means), mean_bias, scatter)
 
 
 def equal_blocks(sums: AllanSums, most: int) -> tuple[int, list[tuple[int, int, Floats]]]:
-    """Return the length of blocks in samples, and the means of all segments over such blocks.
+    """Return a length of blocks in samples, and the means of each segment over such blocks.
 
     Each item of the list contains the index of the recording of a segment, the stamp of the first
-    sample of the segment in ns, and the means, (blocks, axes). The length is a power of two, chosen
-    so that there are at most ``most`` blocks.
+    sample of the segment in ns, and the means, (blocks, axes), in the unit of the samples. Segments
+    without stored block means are omitted. The length is a power of two, chosen so that there are
+    at most ``most`` blocks.
     """
     segments = [(r, m) for r, recording in enumerate(sums.recordings) for m in recording.means]
     step = max((m.step for _, m in segments), default=1)
@@ -226,7 +228,7 @@ def _slope(celsius: Floats, values: Floats) -> Estimate | None:
 
     ``celsius`` are the temperatures of the values in degC. The 95 % interval takes into account
     that the residuals are correlated in time: it assumes a first-order autoregressive process with
-    the measured correlation of neighboring residuals, limited to 0 .. 0.9.
+    the measured correlation of neighboring residuals, limited to the range from 0 to 0.9.
     """
     n = len(celsius)
     if n < 4 or float(np.ptp(celsius)) < LEAST_RANGE_K:
@@ -235,13 +237,13 @@ def _slope(celsius: Floats, values: Floats) -> Estimate | None:
     slope = float(x @ y / (x @ x))
     residuals = y - slope * x
     sum_sq = float(residuals @ residuals)
-    lag_one = min(max(float(residuals[1:] @ residuals[:-1]) / sum_sq, 0.0), 0.9) if sum_sq else 0.0
-    error = math.sqrt(sum_sq / (n - 2) / float(x @ x) * (1.0 + lag_one) / (1.0 - lag_one))
+    rho = min(max(float(residuals[1:] @ residuals[:-1]) / sum_sq, 0.0), 0.9) if sum_sq else 0.0
+    error = math.sqrt(sum_sq / (n - 2) / float(x @ x) * (1.0 + rho) / (1.0 - rho))
     return Estimate.normal(slope, error)
 
 
 def _bandwidth(spectra: Spectra, i: int, white: float | None, tau0: float | None) -> float | None:
-    """Return the frequency in Hz up to which the power is at least half the power of white noise.
+    """Return the frequency in Hz up to which the density is at least half the density N^2.
 
     ``i`` is the index of the axis, and ``white`` is N of this axis in SI. Returns None if the
     frequency is unknown.
@@ -250,21 +252,21 @@ def _bandwidth(spectra: Spectra, i: int, white: float | None, tau0: float | None
         return None
     steps = np.array([octave(o).step for o in range(spectra.octaves)], float)
     is_precise = spectra.dof >= LEAST_DOF
-    ascending_f = np.argsort(spectra.f[is_precise], kind='stable')
-    f = spectra.f[is_precise][ascending_f]
+    order_of_f = np.argsort(spectra.f[is_precise], kind='stable')
+    f = spectra.f[is_precise][order_of_f]
     # the power of means over `step` samples is the power of the samples divided by `step`
-    power = (spectra.power[is_precise, i] * steps[spectra.octave[is_precise]])[ascending_f]
+    power = (spectra.power[is_precise, i] * steps[spectra.octave[is_precise]])[order_of_f]
     if len(f) < SMOOTHED_BINS:
         return None
     windows = np.lib.stride_tricks.sliding_window_view(power, SMOOTHED_BINS)
     relative_power = np.median(windows, axis=1) / (white**2 / tau0)
     center_f = f[SMOOTHED_BINS // 2 : len(f) - SMOOTHED_BINS // 2]
-    (low_bins,) = np.nonzero(relative_power < HALF_POWER)
-    if not len(low_bins):
+    (bins_below_half,) = np.nonzero(relative_power < HALF_POWER)
+    if not len(bins_below_half):
         return 0.5 / tau0
-    if low_bins[0] == 0:
+    if bins_below_half[0] == 0:
         return None
-    k = int(low_bins[0]) - 1
+    k = int(bins_below_half[0]) - 1
     log_before, log_after = (math.log(max(r, 1e-30)) for r in relative_power[k : k + 2])
     fraction = (log_before - math.log(HALF_POWER)) / (log_before - log_after)
     return float(center_f[k] * (center_f[k + 1] / center_f[k]) ** fraction) / tau0
@@ -290,8 +292,8 @@ def rounding_step(sums: AllanSums, axis: int, white: float) -> float | None:
 def step_of_sums(sums: AllanSums, axis: int, deviation: float) -> float | None:
     """Return the step of which the sums of samples of an axis are multiples, or None.
 
-    Only the sums up to the end of each block mean of the longest segment are considered.
-    ``deviation`` is as for `common_step`.
+    Only the cumulative sums at the ends of the blocks of the longest segment are used.
+    ``deviation`` is the standard deviation of the white noise of a sample.
     """
     if not sums.means:
         return None
@@ -311,7 +313,7 @@ def common_step(phase: Floats, deviation: float) -> float | None:
     numbers have the unit of the samples.
     """
     least_step = NEGLIGIBLE_STEP * deviation
-    # The sorted sums of blocks differ by only a few steps, so numerical errors hardly matter.
+    # Sorted sums of blocks differ by only a few steps, so their differences are nearly exact.
     multiples = np.abs(np.concatenate([phase, np.diff(np.sort(np.diff(phase)))]))
     magnitudes = np.unique(multiples[multiples > least_step])
     if len(magnitudes) < LEAST_POINTS or not deviation > 0.0:

@@ -16,7 +16,7 @@ chunking of the samples.
 
 A second difference of the phase (the cumulative sum of the samples) is the difference of the sums
 of m points and of the next m points. Source: IEEE Std 952-1997 annex C; NIST SP 1065 eq. 11
-(overlapping Allan variance). To avoid rounding errors, the first sample of the segment is
+(overlapping Allan variance). To reduce rounding errors, the first sample of the segment is
 subtracted from all samples.
 
 Time
@@ -53,7 +53,7 @@ points still fit into the cache."""
 FIRST_PART, PART = 4096, 2048
 """Largest number of points in a part of a block of level 0, and of a higher level. Each part has
 separate sums, so that the time of the sums is known more accurately. Both numbers are multiples of
-every half spectral block."""
+the length of every half spectral block."""
 
 MAX_INTERPOLATED = 0.75
 """Largest share of interpolated samples in a spectral block; a block with a larger share, as during
@@ -69,12 +69,12 @@ _work, _samples = WorkMemory(), WorkMemory()
 
 @dataclass(frozen=True)
 class CascadeLevel:
-    """One level of the cascade: its decimation, averaging factors and octave spectra."""
+    """One level of the cascade: its decimation, averaging factors, and octaves of the spectra."""
 
     stride: int  # samples per point
-    part: int  # largest number of points in a part of a block, which has separate sums
+    part: int  # largest number of points in a part of a block; each part has separate sums
     factors: tuple[int, ...]  # averaging factors in units of the stride
-    groups: tuple[range, ...]  # groups of octaves; the octaves of a group have equally many bins
+    groups: tuple[range, ...]  # groups of octaves with the same number of bins
 
     @property
     def octaves(self) -> list[int]:
@@ -84,7 +84,7 @@ class CascadeLevel:
 
 @lru_cache
 def level_of(j: int) -> CascadeLevel:
-    """Return the averaging factors and the octaves of level j."""
+    """Return the averaging factors and the octaves of level j of the cascade."""
     if j == 0:
         groups = range(1), range(1, SAMPLE_OCTAVES)
         return CascadeLevel(1, FIRST_PART, FIRST_FACTORS + LEVEL_FACTORS, groups)
@@ -124,16 +124,16 @@ class LevelSums:
         axes), of the non-overlapping differences; the number of spectral blocks, (octaves,); the
         number of pairs of overlapping spectral blocks, (octaves,); and the power, (bins, axes).
         """
-        n = len(level_of(self.level).factors)
-        m = (len(self.counts) - 2 * n) // 2
-        count, group_count, blocks, pairs = np.split(self.counts, [n, 2 * n, 2 * n + m])
+        level = level_of(self.level)
+        n, octave_count = len(level.factors), len(level.octaves)
+        count, group_count, blocks, pairs = np.split(self.counts, [n, 2 * n, 2 * n + octave_count])
         sum_sq, group_sum_sq, power = np.split(self.values, [n, 2 * n])
         return count, sum_sq, group_count, group_sum_sq, blocks, pairs, power
 
 
 @dataclass(frozen=True)
 class Block:
-    """Sums over a part of a block of one level, which is full or at the end of the segment."""
+    """Sums over a part of a block of one level; the block is full, or the last of the segment."""
 
     begin: int  # index of the first sample of the part in the segment
     sums: LevelSums
@@ -162,7 +162,7 @@ class _HalfBlocks:
     """Last half block of each octave of a group, which is also the first half of the next block."""
 
     # (octaves, axes, 2 * bins) products of the points with the tapers of the first half of a block
-    early: Floating
+    first_products: Floating
     # (octaves,) number of interpolated samples in the half block; infinite before the first sample
     interpolated: Floats
     used: Flags  # (octaves,) whether the block that ends with this half block is in the spectra
@@ -171,11 +171,11 @@ class _HalfBlocks:
     def none(cls, octaves: range, axes: int, kind: str) -> _HalfBlocks:
         """Return the half blocks of a new segment, before its first sample."""
         number, columns = len(octaves), 2 * len(octave(octaves[0]).bins)
-        early = np.zeros((number, axes, columns), kind)
-        return cls(early, np.full(number, np.inf), np.zeros(number, bool))
+        first_products = np.zeros((number, axes, columns), kind)
+        return cls(first_products, np.full(number, np.inf), np.zeros(number, bool))
 
     def copy(self) -> _HalfBlocks:
-        return _HalfBlocks(self.early.copy(), self.interpolated.copy(), self.used.copy())
+        return _HalfBlocks(self.first_products.copy(), self.interpolated.copy(), self.used.copy())
 
 
 class _Rows(NamedTuple):
@@ -185,7 +185,7 @@ class _Rows(NamedTuple):
     """
 
     octave: int
-    half: int  # samples per half block
+    half: int  # points per half block
     number: int  # number of half blocks of each axis
     begin: int  # first row of the octave
     end: int  # row after the last row of the octave
@@ -194,9 +194,9 @@ class _Rows(NamedTuple):
 class _Layout(NamedTuple):
     """Rows of several octaves in a matrix that has one row for each half block in n points."""
 
-    octaves: list[_Rows]  # without the octaves whose half blocks are longer than n
-    firsts: Ints  # (octaves * axes,) row of the first half block
-    lasts: Ints  # (octaves * axes,) row of the last half block
+    octaves: list[_Rows]  # rows of each octave whose half blocks have at most n points
+    firsts: Ints  # (octaves * axes,) row of the first half block of each octave and axis
+    lasts: Ints  # (octaves * axes,) row of the last half block of each octave and axis
 
 
 @lru_cache(256)
@@ -213,9 +213,12 @@ def _layout(octaves: range, axes: int, n: int) -> _Layout:
 
 
 class _GroupSums(NamedTuple):
-    """Power of the spectral blocks of a group of octaves that end in each part of some points."""
+    """Power of the spectral blocks of a group of octaves, summed over the blocks of each part.
 
-    power: Floats  # (parts, bins of all octaves, axes), in the squared unit of the samples
+    A spectral block belongs to the part of the points in which the block ends.
+    """
+
+    power: Floats  # (parts, bins of all octaves, axes) in the squared unit of the samples
     blocks: Ints  # (parts, octaves) number of spectral blocks
     pairs: Ints  # (parts, octaves) number of pairs of overlapping spectral blocks
     last: _HalfBlocks  # the last half block of each octave
@@ -259,7 +262,7 @@ class _RunningLevel:
         return self.points[:, begin : begin + number]
 
     def close(self) -> list[Block]:
-        """Return the parts of the full block with their sums, and begin a new block."""
+        """Return the parts of the full block with their sums, and begin the next block."""
         blocks, self.halves = self.blocks_of(self.points[:, : _KEPT + self.fill])
         self.points[:, :_KEPT] = self.points[:, self.fill : self.fill + _KEPT]
         self.summed += self.fill
@@ -280,19 +283,19 @@ class _RunningLevel:
             # an axis with them
             samples[...] = block[:-1]
             spectra = [
-                _group_sums(samples, interpolated, group, before, level.part)
-                for group, before in zip(level.groups, self.halves)
+                _group_sums(samples, interpolated, group, previous_halves, level.part)
+                for group, previous_halves in zip(level.groups, self.halves)
             ]
         values = np.concatenate([squares, *(s.power for s in spectra)], axis=1)
         counts = [numbers, *(s.blocks for s in spectra), *(s.pairs for s in spectra)]
         sums = map(partial(LevelSums, self.level), values, np.concatenate(counts, axis=1))
         blocks = [
             Block(
-                (self.summed + at) << self.level,
-                each,
-                block[:, :0] if self.level else block[:, at : at + level.part],
+                (self.summed + first) << self.level,
+                part_sums,
+                block[:, :0] if self.level else block[:, first : first + level.part],
             )
-            for at, each in zip(range(0, block.shape[1], level.part), sums)
+            for first, part_sums in zip(range(0, block.shape[1], level.part), sums)
         ]
         return blocks, [s.last for s in spectra]
 
@@ -301,57 +304,60 @@ def _group_sums(
     samples: Floating,
     interpolated: Floats | None,
     octaves: range,
-    before: _HalfBlocks,
+    previous_halves: _HalfBlocks,
     part: int,
 ) -> _GroupSums:
     """Return the power of the spectral blocks of a group of octaves that end in n points.
 
     ``samples``, (axes, n), are the points of a level: samples or sums over samples. Each ``part``
     points have separate sums. ``interpolated``, (n,), is the number of interpolated samples in each
-    point; None if no sample is interpolated. ``before`` are the last half blocks before the points.
+    point; None if no sample is interpolated. ``previous_halves`` are the last half blocks before
+    the points.
     """
-    octave_count, axes, columns = before.early.shape
-    layout, last = _layout(octaves, *samples.shape), before.copy()
-    all_squares = _squared_amplitudes(samples, layout, before.early, last.early)
-    all_blocks_are_used = interpolated is None and not before.interpolated.any()
+    octave_count, axes, columns = previous_halves.first_products.shape
+    layout, last = _layout(octaves, *samples.shape), previous_halves.copy()
+    all_squares = _squared_amplitudes(
+        samples, layout, previous_halves.first_products, last.first_products
+    )
+    all_blocks_are_used = interpolated is None and not previous_halves.interpolated.any()
     parts = -(-samples.shape[1] // part)
     sums = np.zeros((octave_count, parts, axes, columns))
     blocks, pairs = np.zeros((2, parts, octave_count), np.int64)
     for i, (o, half, number, begin, end) in enumerate(layout.octaves):
         squares = all_squares[begin:end].reshape(axes, number, columns)
-        # the first flag is the flag of the last block before these points
+        # the first flag is the flag of the last spectral block before these points
         is_used = np.ones(number + 1, bool)
-        is_used[0] = before.used[i]
+        is_used[0] = previous_halves.used[i]
         if not all_blocks_are_used:
             points = np.zeros(samples.shape[1]) if interpolated is None else interpolated
             counts = points[: number * half].reshape(number, half).sum(axis=1)
-            counts = np.concatenate([before.interpolated[i : i + 1], counts])
+            counts = np.concatenate([previous_halves.interpolated[i : i + 1], counts])
             is_used[1:] = counts[:-1] + counts[1:] <= MAX_INTERPOLATED * octave(o).length
             last.interpolated[i] = counts[-1]
         last.used[i] = is_used[-1]
         is_pair, weights = is_used[1:] & is_used[:-1], is_used[1:].astype(float)
         for k in range(parts):
-            in_part = slice(k * part // half, (k + 1) * part // half)
-            blocks[k, i] = np.count_nonzero(is_used[1:][in_part])
-            pairs[k, i] = np.count_nonzero(is_pair[in_part])
+            part_blocks = slice(k * part // half, (k + 1) * part // half)
+            blocks[k, i] = np.count_nonzero(is_used[1:][part_blocks])
+            pairs[k, i] = np.count_nonzero(is_pair[part_blocks])
             # this product takes less time than a sum over the second dimension
-            np.matmul(weights[in_part], squares[:, in_part], out=sums[i, k])
+            np.matmul(weights[part_blocks], squares[:, part_blocks], out=sums[i, k])
     power = sums[..., : columns // 2] + sums[..., columns // 2 :]
     return _GroupSums(power.transpose(1, 0, 3, 2).reshape(parts, -1, axes), blocks, pairs, last)
 
 
 def _squared_amplitudes(
-    samples: Floating, layout: _Layout, before: Floating, last: Floating
+    samples: Floating, layout: _Layout, previous_products: Floating, last_products: Floating
 ) -> Floats:
     """Return the squared amplitudes of the blocks that end with each half block, (rows, 2 * bins).
 
-    ``before``, (octaves, axes, 2 * bins), is the product of the half block before the first sample
-    with the tapers of the first half. The same product of the last half block is written to
-    ``last``.
+    ``previous_products``, (octaves, axes, 2 * bins), is the product of the half block before the
+    first sample with the tapers of the first half. The same product of the last half block is
+    written to ``last_products``.
     """
     if not layout.octaves:
-        return np.zeros((0, before.shape[2]))
-    rows, columns, kind = layout.octaves[-1].end, before.shape[2], samples.dtype.str
+        return np.zeros((0, previous_products.shape[2]))
+    rows, columns, kind = layout.octaves[-1].end, previous_products.shape[2], samples.dtype.str
     products, amplitudes = _work.arrays(kind, (rows, 2 * columns), (rows, columns))
     for o, half, number, begin, end in layout.octaves:
         half_blocks = samples[:, : number * half].reshape(-1, half)
@@ -361,9 +367,9 @@ def _squared_amplitudes(
     np.add(first_half[:-1], second_half[1:], out=amplitudes[1:])
     octave_count = len(layout.octaves)
     amplitudes[layout.firsts] = (
-        before[:octave_count].reshape(-1, columns) + second_half[layout.firsts]
+        previous_products[:octave_count].reshape(-1, columns) + second_half[layout.firsts]
     )
-    last[:octave_count] = first_half[layout.lasts].reshape(octave_count, -1, columns)
+    last_products[:octave_count] = first_half[layout.lasts].reshape(octave_count, -1, columns)
     # the products are not needed any more, and squares of large samples exceed float32
     squares = products.reshape(-1).view('f8')[: amplitudes.size].reshape(amplitudes.shape)
     np.square(amplitudes, out=squares, dtype='f8')
@@ -386,18 +392,19 @@ def _second_differences(points: Floats, summed: int, level: CascadeLevel) -> tup
     x = points.reshape(-1)  # operations on one long row take less time than on short ones
     d, *work = _work.arrays('f8', *3 * [x.shape])
     d_by_axis = d.reshape(axes, columns)
-    ends = [*range(_KEPT + level.part, columns, level.part), columns]  # ends of the parts
+    part_ends = [*range(_KEPT + level.part, columns, level.part), columns]  # ends of the parts
     factors = level.factors
-    squares = np.zeros((len(ends), 2 * len(factors), axes))
-    numbers = np.zeros((len(ends), 2 * len(factors)), np.int64)
+    squares = np.zeros((len(part_ends), 2 * len(factors), axes))
+    numbers = np.zeros((len(part_ends), 2 * len(factors)), np.int64)
     for i, (f, sums) in enumerate(zip(factors, _sums_over(factors, x, *work))):
         size = max(x.size - 2 * f + 1, 0)
         np.subtract(sums[f : f + size], sums[:size], out=d[:size])
         begin = first = _KEPT - min(summed, 2 * f - 1)
-        for part, end in enumerate(ends):
-            after = max(end - 2 * f + 1, first)  # first difference that ends after the part
-            numbers[part, i], squares[part, i] = after - begin, _squares(d_by_axis[:, begin:after])
-            begin = after
+        for part, end in enumerate(part_ends):
+            next_begin = max(end - 2 * f + 1, first)  # first difference that ends after this part
+            squares[part, i] = _squares(d_by_axis[:, begin:next_begin])
+            numbers[part, i] = next_begin - begin
+            begin = next_begin
         non_overlapping = d_by_axis[:, first + -(summed - _KEPT + first) % f : begin : f]
         numbers[0, len(factors) + i] = non_overlapping.shape[1]
         squares[0, len(factors) + i] = _squares(non_overlapping)
@@ -449,16 +456,18 @@ class Cascade:
         The samples have the unit of the reference. ``interpolated``, (n,), flags the interpolated
         samples; None means that there are none.
         """
-        at, n = 0, samples.shape[1]
-        bottom = self._levels[0]
-        while at < n:
-            number = min(bottom.size - bottom.fill, n - at)
-            points = bottom.extend(number)
-            np.subtract(samples[:, at : at + number], self.reference[:, None], out=points[:-1])
-            points[-1] = 0.0 if interpolated is None else interpolated[at : at + number]
-            at += number
+        position, n = 0, samples.shape[1]
+        lowest_level = self._levels[0]
+        while position < n:
+            number = min(lowest_level.size - lowest_level.fill, n - position)
+            points = lowest_level.extend(number)
+            np.subtract(
+                samples[:, position : position + number], self.reference[:, None], out=points[:-1]
+            )
+            points[-1] = 0.0 if interpolated is None else interpolated[position : position + number]
+            position += number
             self.samples += number
-            if bottom.fill == bottom.size:
+            if lowest_level.fill == lowest_level.size:
                 yield from self._close()
 
     def _close(self) -> Iterator[Block]:
@@ -479,7 +488,7 @@ class Cascade:
 
         The state is unchanged.
         """
-        # points from the open block of the level below
+        # points that the open block of the level below passes on
         new_points = self._levels[0].points[:, :0]
         for j in itertools.count():
             if j >= len(self._levels) and not new_points.shape[1]:

@@ -52,12 +52,12 @@ LEAST_DEGREES = 8.0
 
 
 class Coherence(NamedTuple):
-    """Coherence, from -1 to 1, with its 95 % interval at each averaging time."""
+    """Coherence (correlation, -1 to 1) of two signals at each averaging time, with its interval."""
 
     tau: Floats  # averaging times in s, (taus,)
     value: Floats  # coherence at each averaging time, (taus,)
-    low: Floats  # lower ends of the intervals, (taus,)
-    high: Floats  # upper ends of the intervals, (taus,)
+    low: Floats  # lower ends of the 95 % intervals, (taus,)
+    high: Floats  # upper ends of the 95 % intervals, (taus,)
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,8 @@ class CommonNoise:
     own : Estimate or None
         N in SI without the noise that all IMUs measure equally. With two IMUs, only the root mean
         square of both values is known, and is given for both. None if two axes are compared, if
-        the samples are constant, or if the IMUs do not measure the common noise equally.
+        the samples are constant, or if the IMUs measure the common noise with differences that
+        ``gain`` does not correct.
     gain : float
         Factor with which the IMU measures the common noise; the geometric mean of the factors of
         all IMUs is 1.
@@ -243,8 +244,8 @@ def _allan_covariance(
     Averaging times with too few degrees of freedom are omitted.
     """
     curve = allan_curve(reduce(add, blocks))
-    # the covariance of two independent sensors has at least as many degrees of freedom as the
-    # geometric mean of the degrees of freedom of both Allan variances
+    # an Allan covariance of two independent sensors has at least as many degrees of freedom as the
+    # geometric mean of the degrees of freedom of their Allan variances
     mean_edf = np.exp(np.log(curve.edf[:, :sensor_count]).mean(axis=1))
     has_enough_edf = mean_edf >= LEAST_DEGREES
     avar = curve.adev[has_enough_edf] ** 2
@@ -299,17 +300,18 @@ def white_noise(blocks: Sequence[AllanSums], number: int) -> list[Estimate | Non
         curves(squares.sum(axis=0) - s, count.sum(axis=0) - c) for s, c in zip(squares, count)
     ]
     white, quantization = 1.0 / tau, 3.0 / tau**2
-    # the estimate of N^2 may be negative, and also the estimate of Q^2, because the stamps of the
-    # sensors differ. The fit has only nonnegative coefficients, so these terms have both signs
+    # The estimate of N^2 may be negative. The estimate of Q^2 may be negative, too, because the
+    # stamps of the sensors differ. As all coefficients of the fit are nonnegative, the fit contains
+    # each of these two terms with both signs
     signed_terms = white, -white, quantization, -quantization
     terms = np.stack([*signed_terms, np.ones(factors), tau / 3.0], axis=1)
     estimates: list[Estimate | None] = []
-    for column, error in enumerate(np.sqrt(curve_variances.T)):
-        if not error.all():
+    for column, errors in enumerate(np.sqrt(curve_variances.T)):
+        if not errors.all():
             estimates.append(None)
             continue
         squares_of_n = [
-            _squared_n(terms, curve[:, column], error)
+            _squared_n(terms, curve[:, column], errors)
             for curve in (curve_of_all, *curves_without_block)
         ]
         half_width = T_95 * np.sqrt((BLOCKS - 1) * np.var(squares_of_n[1:]))
@@ -322,13 +324,13 @@ def white_noise(blocks: Sequence[AllanSums], number: int) -> list[Estimate | Non
     return estimates
 
 
-def _squared_n(terms: Floats, curve: Floats, error: Floats) -> float:
+def _squared_n(terms: Floats, curve: Floats, errors: Floats) -> float:
     """Return N^2, the difference of the first two coefficients of a nonnegative fit.
 
     ``terms``, (taus, terms), are fitted to ``curve``, (taus,), which has the standard errors
-    ``error``, (taus,).
+    ``errors``, (taus,).
     """
-    matrix = terms / error[:, None]
+    matrix = terms / errors[:, None]
     scale = np.linalg.norm(matrix, axis=0)
-    coefficients = nonnegative_least_squares(matrix / scale, curve / error) / scale
+    coefficients = nonnegative_least_squares(matrix / scale, curve / errors) / scale
     return float(coefficients[0] - coefficients[1])

@@ -79,9 +79,10 @@ def edf(noise_type: int, m: int, stride: int, counts: ArrayLike, number: ArrayLi
 
 @lru_cache(maxsize=1024)
 def _correlation_sums(noise_type: int, m: int, stride: int, lags: int) -> tuple[Floats, Floats]:
-    """Return the sums of rho^2 and of |j| rho^2 over all lags j up to each lag, (lags + 1,) each.
+    """Return the sums of rho^2 and of |j| rho^2 over j = -L .. L, for each L from 0 to ``lags``.
 
-    rho is the correlation of two second differences whose starts are ``stride * j`` samples apart.
+    Both results are (lags + 1,). rho is the correlation of two second differences whose starts are
+    ``stride * j`` samples apart.
     A pair of differences at lag j occurs M - |j| times among M differences, so that the variance of
     their sum of squares needs both sums.
     """
@@ -314,7 +315,7 @@ def allan_curve(sums: AllanSums) -> AllanCurve:
     m, stride, avar = sums.m[has_data], sums.stride[has_data], sums.avar[has_data]
     types = noise_types_of_avar(m, avar, sums.samples)
     adev, n = np.sqrt(avar), sums.count[has_data]
-    # a part of a recording has fewer differences than complete segments of the same lengths
+    # a part of a recording has fewer differences than complete segments of the same lengths have
     complete_count = sum(k * counts(round(size), m, stride) for size, k in sums.length_histogram)
     complete_share = np.minimum(n / np.maximum(complete_count, 1), 1.0)[:, None]
     degrees = complete_share * degrees_of_freedom(sums, m, stride, types)
@@ -364,9 +365,9 @@ def degrees_of_freedom(sums: AllanSums, m: Ints, stride: Ints, types: Ints) -> F
 class Spectra:
     """Mean power of the spectral blocks in all bins, from octave 0 (high frequencies) on.
 
-    The powers of the bins of an octave are correlated, and so are overlapping blocks. ``dof`` are
-    the degrees of freedom of the mean power of one bin. A sum over all bins is as accurate as if
-    each bin was independent and had ``shared_dof`` degrees of freedom.
+    The powers of two bins of a block are correlated, and so are the powers of overlapping blocks.
+    ``dof`` are the degrees of freedom of the mean power of one bin. A sum over all bins is as
+    accurate as if each bin was independent and had ``shared_dof`` degrees of freedom.
     """
 
     octave: Ints  # (bins,) octave of each bin
@@ -386,7 +387,7 @@ class Spectra:
 
 
 def pooled_spectra(sums: AllanSums) -> Spectra:
-    """Return the mean power over all spectral blocks in Allan sums."""
+    """Return the mean power in each bin over all spectral blocks of Allan sums."""
     periods = sums.periods
     no_counts, axis_count = np.zeros(0, np.int64), len(sums.axes)
     blocks, pairs = (
@@ -397,7 +398,7 @@ def pooled_spectra(sums: AllanSums) -> Spectra:
     octave_of_bin = np.repeat(np.arange(len(blocks)), [len(band.bins) for band in octaves])
     f = [np.array(band.bins) / band.length for band in octaves]
     dof_and_clump = np.zeros((3, len(blocks)))
-    for o in np.flatnonzero(blocks):  # the values stay 0 if all blocks are excluded
+    for o in np.flatnonzero(blocks):  # the values of other octaves stay 0
         same_block, next_blocks = overlap(int(o))
         covariance = (blocks[o] * same_block + pairs[o] * next_blocks) / float(blocks[o]) ** 2
         variance = covariance[np.argmax(same_block)]
@@ -426,7 +427,8 @@ class Spectrum:
 def noise_density(sums: AllanSums) -> Spectrum | None:
     """Return the power spectral density of the samples; None if it is unknown.
 
-    It is unknown without a complete spectral block, or if the sample period is unknown or 0.
+    The density is unknown without a complete spectral block, or if the sample period is unknown or
+    0.
     """
     spectra = pooled_spectra(sums)
     used_bins = np.flatnonzero(spectra.dof > 0.0)

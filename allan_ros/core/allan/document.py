@@ -53,7 +53,7 @@ would change the checksum."""
 
 
 def sums_to_document(sums: AllanSums) -> dict[str, Any]:
-    """Return the sums as a JSON-compatible dict, from which `sums_from_document` restores them."""
+    """Return Allan sums as a JSON-compatible dict; `sums_from_document` restores the sums."""
     tables = ('m', 'count', 'sum_sq', 'group_count', 'group_sum_sq', 'replaced')
     document = {
         'schema': SUMS_SCHEMA,
@@ -77,9 +77,10 @@ def checksum_of(document: Mapping[str, Any]) -> str:
 
 
 def _recording_to_document(recording: RecordedPeriods, factors: int) -> dict[str, Any]:
-    """Return the document of a recording.
+    """Return the periods and block means of a recording as a JSON-compatible dict.
 
-    Each quantity is one array over all periods, because one array compresses better than many.
+    Each quantity of the periods is stored as one array for all periods, because one array
+    compresses better than many.
     """
     periods = recording.periods
     octaves = max(len(p.blocks) for p in periods)
@@ -120,8 +121,9 @@ def _padded(arrays: Sequence[NDArray[Any]], rows: int) -> NDArray[Any]:
 def _packed(values: NDArray[Any]) -> str:
     """Return an array of int64 or float64 as zlib-compressed bytes in base64.
 
-    The lowest bytes of all numbers come first, then the second bytes of all numbers, and so on.
-    This order compresses better, in particular if the lowest bytes are 0 (see `rounded`).
+    The least significant bytes of all numbers come first, then the second least significant bytes
+    of all numbers, and so on. This order compresses better, in particular if the first bytes are 0
+    (see `rounded`).
     """
     dtype = '<f8' if values.dtype.kind == 'f' else '<i8'
     data = np.ascontiguousarray(values, dtype).view(np.uint8).reshape(-1, 8)
@@ -151,7 +153,7 @@ def _array(fields: Fields, key: str, shape: tuple[int, ...], least: Any, most: A
 
 
 def sums_from_document(document: object, where: str = 'sums') -> AllanSums:
-    """Return the sums from a dict that `sums_to_document` has returned.
+    """Return the Allan sums from a dict that `sums_to_document` has returned.
 
     ``where`` is the name of the document in error messages.
 

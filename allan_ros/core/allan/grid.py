@@ -84,7 +84,7 @@ def levels_of(factors: int) -> int:
 
 
 SHORTEST_BLOCK = 64
-"""Samples per block of octave 0."""
+"""Number of samples in a block of octave 0."""
 
 LOW_BIN = 8
 """Lowest frequency of each octave, in periods per block."""
@@ -97,7 +97,7 @@ LONGEST_BLOCK = SHORTEST_BLOCK << (SAMPLE_OCTAVES - 1)
 
 
 class Octave(NamedTuple):
-    """Blocks and bins of one octave."""
+    """Lengths of the blocks of one octave, and the frequency bins of the octave."""
 
     step: int  # samples per mean; 1 if blocks consist of samples
     size: int  # means (or samples) per block
@@ -111,7 +111,7 @@ class Octave(NamedTuple):
 
 @lru_cache
 def octave(o: int) -> Octave:
-    """Return blocks and bins of octave o."""
+    """Return the lengths of the blocks, and the frequency bins, of octave o."""
     log2_step = max(o - SAMPLE_OCTAVES + 1, 0)
     bins = range(LOW_BIN, 4 * LOW_BIN if o == 0 else 2 * LOW_BIN)
     return Octave(1 << log2_step, SHORTEST_BLOCK << (o - log2_step), bins)
@@ -151,10 +151,10 @@ def overlap(o: int) -> tuple[Floats, Floats]:
     next_tapers = np.zeros_like(a)  # tapers of the next block, where it overlaps this block
     next_tapers[:, size // 2 :] = a[:, : size // 2]
     # row of bin 16 (octave 0) or bin 12 (other octaves)
-    middle = (2 * LOW_BIN if o == 0 else LOW_BIN + LOW_BIN // 2) - 1
+    middle_row = (2 * LOW_BIN if o == 0 else LOW_BIN + LOW_BIN // 2) - 1
 
     def covariance(x: NDArray[np.complex128], y: NDArray[np.complex128]) -> Floats:
-        middle_taper = x[middle]
+        middle_taper = x[middle_row]
         return np.asarray(np.abs(middle_taper.conj() @ y.T) ** 2 + np.abs(middle_taper @ y.T) ** 2)
 
     return covariance(a, a), covariance(a, next_tapers) + covariance(next_tapers, a)

@@ -37,12 +37,15 @@ KEPT_SEGMENTS, MIN_MEANS, MAX_MEANS = 32, 4, 1024
 segments together have at most 1024 means."""
 
 SUM_BYTES, MEAN_BYTES = 4, 5
-"""Number of upper bytes of a float64 that are kept in the sums of a period, and in block means. The
-other bytes are set to 0."""
+"""Number of most significant bytes of a float64 that are kept in the sums of a period, and in block
+means. The other bytes are set to 0."""
 
 
 def rounded(values: Floats, size: int) -> Floats:
-    """Return values of any shape and unit, rounded to the upper ``size`` bytes of a float64."""
+    """Return values of any shape and unit, rounded to the first ``size`` bytes of each float64.
+
+    The first byte is the most significant byte.
+    """
     shift = 64 - 8 * size
     bits = np.ascontiguousarray(values, '<f8').view('<u8')
     rounded_bits = (
@@ -85,20 +88,20 @@ def nonzero_length(counts: Ints) -> int:
 class Period(ByValue):
     """Sums of one period of a recording."""
 
-    begin: int  # age of the first sample of the period
+    begin: int  # number of samples of the recording before the period
     samples: int  # number of samples
     begin_ns: int  # stamp of the first sample of the period
     count: Ints  # (factors,) number of second differences
     sum_sq: Floats  # (factors, axes) sum of the squares of the second differences
     blocks: Ints  # (octaves,) number of spectral blocks
     pairs: Ints  # (octaves,) number of pairs of overlapping spectral blocks
-    power: Floats  # (bins, axes) sum of the power of the blocks in the bins of all octaves
+    power: Floats  # (bins, axes) power in the bins of all octaves, summed over the spectral blocks
     total: Floats  # (axes,) sum of the samples minus ``RecordedPeriods.reference``
     interpolated: int  # number of samples that are interpolated on some axis
 
     @property
     def end(self) -> int:
-        """Age of the first sample after the period."""
+        """Number of samples of the recording up to the end of the period."""
         return self.begin + self.samples
 
     def __add__(self, later: Period) -> Period:
@@ -133,7 +136,7 @@ class Period(ByValue):
 class BlockMeans(ByValue):
     """Means of one segment over consecutive blocks of samples."""
 
-    age: int  # age of the first sample of the segment
+    age: int  # number of samples of the recording before the segment
     start_ns: int  # stamp of the first sample of the segment
     samples: int  # number of samples of the segment
     step: int  # samples per block, a power of two
@@ -187,7 +190,7 @@ class RecordedPeriods(ByValue):
 
 
 def pair_to_merge(begins: Sequence[int], length: int) -> tuple[float, int]:
-    """Return the smallest relative length of two neighboring periods, and the index of the first.
+    """Return the smallest relative length of a pair of neighboring periods, and its first index.
 
     ``begins`` are the ages at which the periods begin, and ``length`` is the number of samples of
     the recording. The length of a pair of periods is divided by the smaller of two distances: from
@@ -211,7 +214,7 @@ def bounded(recordings: Iterable[RecordedPeriods]) -> tuple[RecordedPeriods, ...
     kept_recordings = sorted(recordings, key=lambda r: (r.periods[0].begin_ns, r.samples))
     while sum(len(r.periods) for r in kept_recordings) > MAX_PERIODS:
         pairs = [pair_to_merge([p.begin for p in r.periods], r.samples) for r in kept_recordings]
-        _, k, i = min((relative, k, i) for k, (relative, i) in enumerate(pairs))
+        _, k, i = min((relative_length, k, i) for k, (relative_length, i) in enumerate(pairs))
         if len(kept_recordings[k].periods) > 1:
             kept_recordings[k] = kept_recordings[k].merged(i)
         else:

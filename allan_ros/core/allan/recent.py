@@ -19,7 +19,8 @@ from .sums import AllanSums
 Floats = NDArray[np.float64]
 
 LONGEST_TAU_SHARE = 0.25
-"""Longest averaging time at which noise levels are compared, relative to the recent window."""
+"""Longest averaging time at which noise levels are compared, relative to the length of the recent
+window."""
 
 MIN_STEP_EDF = 30.0
 """Smallest number of degrees of freedom of the variances before and after a step. The standard
@@ -49,7 +50,7 @@ class NoiseStep:
     ci95 : (low, high)
         95 % interval of the ratio.
     since_s : float
-        Time since the last step in s.
+        Time in s from the last step to the end of the latest recording.
     """
 
     tau: float
@@ -87,7 +88,8 @@ def noise_steps(sums: AllanSums, window_s: float) -> dict[str, NoiseStep]:
     """Return axis -> change of the noise level, for the axes with a step in the recent window.
 
     The window of ``window_s`` seconds ends at the end of the latest recording. The noise before a
-    step includes the noise of all data before the window.
+    step includes the noise of all data before the window. Noise is compared only at averaging times
+    of at most a quarter of the window.
 
     Raises
     ------
@@ -107,7 +109,7 @@ def noise_steps(sums: AllanSums, window_s: float) -> dict[str, NoiseStep]:
         [add_padded(no_sums[:, 0].astype(int), p.count)[:factors] for p in sums.periods]
     )
     sum_sq = np.array([add_padded(no_sums, p.sum_sq)[:factors] for p in sums.periods])
-    # the first row contains all data before the window
+    # the first row of `count` and `sum_sq` will contain all data before the window
     window_start = latest.samples - window_s / sums.tau0
     begins = [p.begin if r is latest else -1 for r in sums.recordings for p in r.periods]
     n_before = max(int(np.searchsorted(begins, max(window_start, 0))), 1)
@@ -141,17 +143,17 @@ def noise_steps(sums: AllanSums, window_s: float) -> dict[str, NoiseStep]:
         nu, ratio = edf_per_difference[k] * np.array(difference_counts), after / before
         low, high = (math.sqrt(ratio / fdtri(nu[1], nu[0], q)) for q in (0.975, 0.025))
         since_s = (latest.samples - begins[last]) * sums.tau0
-        tau_before_ratio = float(m[k] * sums.tau0), math.sqrt(before), math.sqrt(ratio)
-        steps[axis] = NoiseStep(*tau_before_ratio, (low, high), since_s)
+        tau = float(m[k] * sums.tau0)
+        steps[axis] = NoiseStep(tau, math.sqrt(before), math.sqrt(ratio), (low, high), since_s)
     return steps
 
 
 def _steps(degrees: Floats, squares: Floats) -> tuple[int, int, int] | None:
-    """Return the rows that follow the first and the last step, and the index of their factor.
+    """Return the rows after the first and the last step, and the index of their averaging factor.
 
     ``degrees`` are the degrees of freedom, and ``squares`` are the sums of squares, of each period
-    and averaging factor, (rows, factors). The first step is the most significant step at any
-    factor. Later steps are searched for only at the factor of the first step. Returns None if no
+    and averaging factor, (rows, factors). The first step is the most significant step at all
+    factors. Later steps are searched for only at the factor of the first step. Returns None if no
     step is significant.
     """
     degrees, squares = np.cumsum(degrees, axis=0), np.cumsum(squares, axis=0)
@@ -171,8 +173,8 @@ def _steps(degrees: Floats, squares: Floats) -> tuple[int, int, int] | None:
 def _step_ratios(degrees: Floats, squares: Floats) -> Floats:
     """Return twice the log likelihood ratio of a step after each row, (rows, ...).
 
-    ``degrees`` and ``squares`` are cumulative sums, (rows, ...). The result is -inf where there are
-    too few data before or after the step.
+    ``degrees`` and ``squares`` are cumulative sums, (rows, ...). The result is -inf where the
+    data before or after the step are too few or constant.
     """
     nu = degrees, degrees[-1] - degrees, degrees[-1]
     sums = squares, squares[-1] - squares, squares[-1]

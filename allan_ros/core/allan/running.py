@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Running sums of one stream: Allan sums, octave spectra and block means, updated by each chunk."""
+"""Allan sums, octave spectra and block means of a stream, updated with each chunk of samples."""
 
 from __future__ import annotations
 
@@ -39,9 +39,9 @@ merged."""
 class _RunningPeriod:
     """Sums over one period before they are rounded; the period may still grow."""
 
-    begin: int  # age of the first sample of the period
-    # stamp of the first sample of the segment in which the period begins, and number of samples
-    # from there to the period
+    begin: int  # number of samples of the recording before the period
+    # stamp of the first sample of the segment in which the period begins, and number of samples of
+    # this segment before the period
     start: tuple[int, int]
     samples: int
     # (axes + 1,) sums of the samples minus the first sample of the recording, then the number of
@@ -82,7 +82,7 @@ class _SegmentSums(NamedTuple):
         The step doubles if there are too many sums.
         """
         samples, step, sums = block.samples[:-1], self.step, self.sums.copy()
-        # number of samples that the last sum needs to be complete
+        # number of samples that are needed to complete the last sum
         missing = min(-block.begin % step, samples.shape[1])
         if missing:
             sums[:, -1] += samples[:, :missing].sum(axis=1)
@@ -99,7 +99,7 @@ class _OpenSegment:
     """Cascade of the current segment, and sums over blocks of samples for its block means."""
 
     def __init__(self, first: Floats, start_ns: int, age: int) -> None:
-        self.age = age  # age of the first sample of the segment
+        self.age = age  # number of samples of the recording before the segment
         self.start_ns = self.last_ns = start_ns
         self.cascade = Cascade(first)
         self.sums = _SegmentSums(np.zeros((len(first), 0)), 1)
@@ -114,8 +114,8 @@ class _State:
 
     reference: Floats  # (axes,) first sample of the recording
     periods: tuple[_RunningPeriod, ...] = ()
-    samples: int = 0  # number of samples
-    elapsed_ns: int = 0  # time from the first to the last stamp of each segment, summed
+    samples: int = 0  # number of samples of the ended segments
+    elapsed_ns: int = 0  # time from the first to the last stamp, summed over the ended segments
     lengths: Lengths = ()
     means: tuple[BlockMeans, ...] = ()
 
@@ -270,7 +270,7 @@ class RunningSums:
 
 
 def _arrays(period: _RunningPeriod) -> list[NDArray]:  # type: ignore[type-arg]
-    """Return the arrays of `LevelSums.arrays`, each concatenated over all levels."""
+    """Return the arrays of `LevelSums.arrays` for a period, each concatenated over all levels."""
     return [np.concatenate(a) for a in zip(*(level.arrays for level in period.levels))]
 
 

@@ -50,17 +50,17 @@ first."""
 
 
 def length_class(samples: float) -> int:
-    """Return the index floor(log(samples) / log(1.1)) of the length class of a segment."""
+    """Return the index of the length class of a segment: floor(log(samples) / log(1.1))."""
     return int(math.log(samples) / math.log(LENGTH_CLASS_RATIO))
 
 
 def add_lengths(a: Lengths, b: Lengths) -> Lengths:
-    """Return the length classes of the segments in ``a`` and ``b`` together."""
+    """Return the length classes of all segments in ``a`` and ``b``."""
     total: dict[int, tuple[int, int]] = {}
     for samples, number in a + b:
         i = length_class(samples / number)
-        earlier = total.get(i, (0, 0))
-        total[i] = earlier[0] + samples, earlier[1] + number
+        previous = total.get(i, (0, 0))
+        total[i] = previous[0] + samples, previous[1] + number
     return tuple(total[i] for i in sorted(total))
 
 

@@ -115,27 +115,28 @@ def cross_spectra(parts: Sequence[Floats]) -> tuple[Spectra, float]:
 def _leak(spectra: Spectra, blocks: float) -> float:
     """Return the largest share of the common signal in the power of a difference of two sensors.
 
-    All pairs of sensors are compared, except pairs without power at a frequency in the difference
-    or in the third sensors. The result is at least 0. ``blocks`` is the number of independent
-    blocks of the ``spectra``.
+    The difference of each pair of sensors is compared with the sum of the other sensors. Pairs for
+    which the difference or this sum has no power at some frequency are excluded. The result is at
+    least 0. ``blocks`` is the number of independent blocks of the ``spectra``.
     """
     sensor_count = spectra.shape[1]
     shares = [0.0]
     for i, j in combinations(range(sensor_count), 2):
-        weights_of_d = np.zeros(sensor_count)
-        weights_of_d[i], weights_of_d[j] = 1.0, -1.0
+        pair_weights = np.zeros(sensor_count)
+        pair_weights[i], pair_weights[j] = 1.0, -1.0
         third_sensors = [np.eye(sensor_count)[k] for k in range(sensor_count) if k not in (i, j)]
-        weights_of_z = np.sum(third_sensors, axis=0) if third_sensors else np.abs(weights_of_d)
-        power, power_of_z = (
-            np.einsum('a,fab,b->f', x, spectra, x).real for x in (weights_of_d, weights_of_z)
+        third_weights = np.sum(third_sensors, axis=0) if third_sensors else np.abs(pair_weights)
+        power, third_power = (
+            np.einsum('a,fab,b->f', x, spectra, x).real for x in (pair_weights, third_weights)
         )
-        cross_spectrum = np.einsum('a,fab,b->f', weights_of_d, spectra, weights_of_z)
-        if not power.all() or not power_of_z.all():  # a sensor without noise
+        cross_spectrum = np.einsum('a,fab,b->f', pair_weights, spectra, third_weights)
+        if not power.all() or not third_power.all():  # constant samples
             continue
-        # without third sensors, z is the sum of both sensors, and ``cross`` contains own noise
+        # without third sensors, the sum of both sensors is used instead, so that the cross spectrum
+        # contains own noise
         if not third_sensors:
-            cross_spectrum = cross_spectrum - _intercept(power_of_z, cross_spectrum.real)
-        common_power = np.abs(cross_spectrum) ** 2 / power_of_z - power / blocks
+            cross_spectrum = cross_spectrum - _intercept(third_power, cross_spectrum.real)
+        common_power = np.abs(cross_spectrum) ** 2 / third_power - power / blocks
         shares.append(float(common_power.sum() / power.sum()))
     return max(shares)
 
