@@ -281,11 +281,11 @@ def _encoding(topic: Topic) -> Encoding:
 
 
 def _rebatched(batches: Iterable[ImuBatch]) -> Iterator[ImuBatch]:
-    """Yield the same samples in batches of about `BATCH` samples with one frame_id each."""
+    """Yield the same samples in batches of at most `BATCH` samples with one frame_id each."""
     parts: list[ImuBatch] = []
     count = 0
     for batch in batches:
-        if parts and (batch.frame_id != parts[0].frame_id or count >= BATCH):
+        if parts and (batch.frame_id != parts[0].frame_id or count + len(batch) > BATCH):
             yield from in_batches(joined(parts))
             parts, count = [], 0
         parts.append(batch)
