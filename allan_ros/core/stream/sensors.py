@@ -163,7 +163,8 @@ class Clipping:
             chunks = rows[:, :end].reshape(len(rows), -1, CLIPPED_CHUNK)
             self._clipped += CLIPPED_CHUNK * clipped_shares(chunks).sum(axis=1)
             self.samples += end
-        self._open = rows[:, end:].copy()
+            rows = rows[:, end:].copy()
+        self._open = rows
 
     @property
     def shares(self) -> Floats:

@@ -388,15 +388,16 @@ class SampleClock:
             step = stamps[begin : begin + n] - stamps[begin - 1 : begin + n - 1]
         else:
             step = np.diff(stamps[:n], prepend=stamps[0] - round(clock.period_ns))
-        lost, split = np.zeros(n, np.int64), np.zeros(n, bool)
+        steps = np.ones(n, np.int64)
         is_even = step.min() >= 0 and step.max() <= clock.pause_ns
         if not is_even:
             lost, split = self._find_gaps(step, clock)
-        steps = np.where(split, 0, 1 + lost)
+            steps = np.where(split, 0, 1 + lost)
         unchanged = n if clock.bursty else self._count_same_rate(step, steps, clock)
         self.rate_changed = unchanged < n
-        lost, steps, split = lost[:unchanged], steps[:unchanged], split[:unchanged]
+        steps = steps[:unchanged]
         if not is_even:
+            lost, split = lost[:unchanged], split[:unchanged]
             self._counts.lost += int(lost.sum())
             self._counts.interpolated += int(lost[~split].sum())
             self._counts.splits += Counter(
