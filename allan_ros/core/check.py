@@ -43,8 +43,8 @@ MARGIN = 0.2
 datasheet describe the median IMU, and noise increases by some percent with temperature."""
 
 FAMILY_ERROR = 0.05
-"""Probability of at least one significant difference between recordings of equal noise, among all
-comparisons made at once."""
+"""Largest probability of one or more significant differences between recordings of equal noise,
+among all comparisons made at once."""
 
 TAU_RATIO = 4.0
 """Ratio of successive averaging times at which Allan deviations are compared. Deviations at closer
@@ -60,8 +60,8 @@ EDF_TABLE = np.geomspace(0.5, 1e10, 1000)
 Allan deviation is tabulated."""
 
 SMALLEST_SCALE = 1e-12
-"""Smallest standard error of the logarithm of an estimate that is used. Smaller standard errors are
-set to this value, so that there is no division by zero."""
+"""Value that replaces any smaller standard error of the logarithm of an estimate, so that there is
+no division by zero."""
 
 LARGEST_EXPONENT = 709.0
 """Largest whole number x for which exp(x) is a finite float64."""
@@ -97,8 +97,8 @@ class Check:
         A term (Q, N, B, K or R), 'adev' for the Allan deviation at ``tau``, or another quantity
         that a test plan limits.
     reference : str
-        Name of the datasheet, plan or recording that the number is compared with, or the number of
-        IMUs that others measured, such as '3 units'.
+        Name of the datasheet, plan or recording that the number is compared with. For values that
+        others measured with IMUs of the same model, the number of these IMUs, such as '3 units'.
     measured : Estimate
         The measured number. It has neither value nor limit if only the ratio is known.
     lower, upper : float or None
@@ -288,7 +288,7 @@ Run = Mapping[str, AxisNoise]
 
 
 def differences(pairs: Iterable[tuple[str, Run, Run]]) -> list[tuple[Check, ...]]:
-    """Compare the second with the first recording of each pair, and return the checks of each pair.
+    """Compare the second recording of each pair with the first, and return the checks of each pair.
 
     For each axis that both recordings have, the five terms are compared, and then the Allan
     deviations at averaging times that both curves cover. The verdicts are corrected for the total
@@ -320,10 +320,10 @@ def _curve_differences(
 ) -> Iterator[Check]:
     """Yield checks, without verdicts, of the Allan deviations at several averaging times.
 
-    The averaging times lie in the range that both curves cover. The shortest is the start of this
-    range, and each further one is longer by the factor `TAU_RATIO`. Deviations and degrees of
-    freedom are interpolated on logarithmic scales. Points of a curve with fewer than `MIN_EDF`
-    degrees of freedom are not used.
+    The averaging times lie in the range that both curves cover. The first averaging time is the
+    start of this range, and each further averaging time is longer by the factor `TAU_RATIO`.
+    Deviations and degrees of freedom are interpolated on logarithmic scales. Points of a curve with
+    fewer than `MIN_EDF` degrees of freedom are not used.
     """
     from scipy import special
 
@@ -407,7 +407,7 @@ def _term_difference(
 
 
 def _known(c: Estimate) -> Known | None:
-    """Return the value of a coefficient and the ends of its interval.
+    """Return the value of a coefficient and the ends of its 95 % interval.
 
     A value outside of the interval is replaced by the nearest end. Returns None if the coefficient
     is not resolved, or has no finite interval above 0.
@@ -421,7 +421,10 @@ def _known(c: Estimate) -> Known | None:
 
 
 def _limit(c: Estimate) -> float | None:
-    """Return the 95 % upper limit of a coefficient with the status 'not_observable', else None."""
+    """Return the 95 % upper limit of a coefficient that is not resolved; None if it is unknown.
+
+    The limit of a coefficient with the status 'likely' is not used.
+    """
     has_limit = (
         c.status == 'not_observable' and c.upper95 is not None and 0.0 < c.upper95 < math.inf
     )
@@ -450,16 +453,16 @@ def _exp(x: float) -> float:
 
 
 def _width(upper: float, lower: float, x: Known) -> float:
-    """Return the distance ln(upper / lower) between an estimate and an end of its interval.
+    """Return the distance ln(upper / lower) from an estimate to an end of its interval.
 
-    The distance is at least half the width of the interval of ln x, where ``x`` is the estimate.
+    The result is at least half the width of the interval of ln x, where ``x`` is the estimate.
     """
-    # The minimum applies to a value at an end of its interval, where the distance would be 0.
+    # without this minimum, the distance would be 0 if the value is an end of its interval
     return max(math.log(upper) - math.log(lower), (math.log(x[2]) - math.log(x[1])) / 2.0)
 
 
 def _p_value_of_limit(a: Known, limit: float, power: float) -> float:
-    """Return the p value of equal noise if only one of two recordings resolves the coefficient.
+    """Return the p value of equal noise if only one of two recordings resolves a coefficient.
 
     ``a`` is the estimate from this recording, and ``limit`` is the upper limit from the other
     recording. The p value follows from the confidence level at which the lower limit of ``a``

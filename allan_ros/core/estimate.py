@@ -30,8 +30,8 @@ for both. Feldman & Cousins (Phys. Rev. D 57, 1998) unify intervals and limits i
 
 RESOLVED_HALF_WIDTHS = 2.58 / Z_95
 """A number that may be negative is resolved if its magnitude is at least this multiple of half the
-width of its 95 % interval: false alarms of 1 % (two-sided). Measured for R: 1.0 % of 900 axes
-without R."""
+width of its 95 % interval. The expected rate of false alarms is 1 % (two-sided). R was found on
+1.0 % of 900 axes without R."""
 
 VALUE_DIGITS, LIMIT_DIGITS = 4, 3
 """Numbers of significant digits of a value, and of a limit or an end of an interval."""
@@ -118,7 +118,7 @@ class Estimate:
     def largest(self) -> float:
         """Largest magnitude in the interval; without an interval, the magnitude of the value.
 
-        NaN if interval and value are unknown.
+        NaN if the interval and the value are unknown.
         """
         return max(map(abs, self.ci95 or (math.nan if self.value is None else self.value,)))
 
@@ -329,8 +329,8 @@ def duration_text(seconds: float, digits: int = 2) -> str:
 def prefixed(unit: ShownUnit, size: float) -> ShownUnit:
     """Return ``unit``, or this unit with a larger prefix if ``size`` would be 1000 or more in it.
 
-    ``size`` is a value in SI. Only the prefixes u and m of units that begin with g, rad or m/ are
-    replaced; any other unit is returned unchanged.
+    ``size`` is a value in SI. Only the prefixes u and m are replaced, and only if g, rad or m/
+    follows the prefix; any other unit is returned unchanged.
 
     >>> prefixed(ShownUnit('ug', 1e6 / 9.80665), 0.0274).name
     'mg'

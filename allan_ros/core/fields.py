@@ -75,8 +75,8 @@ class Fields:
     """One JSON object, whose values are checked when they are read.
 
     Every method that reads a value raises AllanError if the value is of another type or out of
-    range. It also does so if the value is missing, except where the method states what is returned
-    then. The message states the position of the value in the document.
+    range. A missing value also raises AllanError, unless the docstring of the method states another
+    result. The message of the error states the position of the value in the document.
 
     Parameters
     ----------
@@ -139,14 +139,14 @@ class Fields:
         return value
 
     def integer(self, key: str, least: int = -MAX_INTEGER) -> int:
-        """Return the whole number under a key, at least ``least`` and below `MAX_INTEGER`."""
+        """Return the whole number under a key, from ``least`` to `MAX_INTEGER` - 1."""
         value = int(self._get(key, int, 'a whole number'))
         if not least <= value < MAX_INTEGER:
             raise self._wrong(key, value, f'a whole number from {least} to {MAX_INTEGER}')
         return value
 
     def number(self, key: str, least: float = -MAX_FLOAT) -> float:
-        """Return the number under a key, at least ``least`` and of at most `MAX_FLOAT`."""
+        """Return the number under a key, from ``least`` to `MAX_FLOAT`."""
         value = self._number(key, self._get(key, (int, float), 'a number'))
         if value < least:
             raise self._wrong(key, value, f'a number of at least {least:g}')
@@ -168,7 +168,7 @@ class Fields:
         )
 
     def integers(self, key: str, n: int) -> NDArray[np.int64]:
-        """Return the list of ``n`` whole numbers, 0 or above, under a key as an array, (n,)."""
+        """Return the list under a key, ``n`` whole numbers of 0 or above, as an array, (n,)."""
         values = self.sequence(key, n)
         if len(values) != n or not all(type(v) is int and 0 <= v < MAX_INTEGER for v in values):
             raise self._wrong(key, values, f'a list of {n} whole numbers, 0 or above,')
@@ -242,8 +242,8 @@ class Fields:
         """Return the value of a key, converted to the type annotation ``hint``.
 
         Possible types are str, bool, int, float, `Signed`, `SignedInt`, Literal, a pair of floats,
-        an array, a mapping of names to floats, a dataclass or named tuple, and a tuple of strings,
-        of tuples of floats or of dataclasses. Each type may be combined with None, which is the
+        an array, a mapping of names to floats, a dataclass, a named tuple, and a tuple of strings,
+        of tuples of floats, or of dataclasses. Each type may be combined with None, which is the
         result for null and for a missing key.
         """
         may_be_negative = get_origin(hint) is Annotated

@@ -137,7 +137,8 @@ _FAULTS, _NUMBERS, LIVE, UNUSABLE = (
     re.findall(rf'(?m)^\[{name}\]\n((?: .*\n)*)', _TEXT)[0].split()
     for name in ('faults', 'numbers', 'live', 'unusable')
 )
-"""Ids of findings in four lists. Comments in ``findings.txt`` describe the lists."""
+"""Ids of the findings in the lists ``faults``, ``numbers``, ``live`` and ``unusable`` of
+``findings.txt``, where comments describe these lists."""
 
 MINOR: dict[str, Callable[[Mapping[str, Any]], bool]] = {
     'level_changes': lambda values: values['high'].value < 1.1 * values['low'].value,

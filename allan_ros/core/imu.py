@@ -62,6 +62,11 @@ class ImuBatch:
         0 for measured values. For replaced values, the number of samples over which the signal was
         averaged before and after the replaced stretch (see `core.allan.replaced_stretches`). None
         if all values are measured.
+
+    Raises
+    ------
+    AllanError
+        When the shapes do not fit together, or the frame_id is longer than `MAX_NAME` characters.
     """
 
     stamps_ns: NDArray[np.int64]
@@ -107,7 +112,7 @@ class ImuBatch:
 
     @classmethod
     def empty(cls, axes: int) -> ImuBatch:
-        """Return a batch without samples."""
+        """Return a batch without samples, with the given number of axes."""
         return cls(np.empty(0, np.int64), np.empty((0, axes)))
 
     @property
@@ -140,9 +145,9 @@ def joined(batches: Sequence[ImuBatch], copy: bool = False) -> ImuBatch:
 
     Batches without samples are ignored. The result has the ``cut`` of the first batch and the
     frame_id of the last batch, and the samples of each axis are contiguous in memory. The record
-    times are None unless all batches have record times. If only one batch has samples, this batch
-    itself is returned unchanged, and if no batch has samples, the first batch. If ``copy`` is set,
-    a copy is returned instead.
+    times are None unless all batches have record times. If only one batch has samples, the result
+    is this batch itself, and if no batch has samples, the first batch itself; with ``copy``, a copy
+    of this batch.
     """
     parts = [part for part in batches if len(part)] or list(batches[:1])
     if len(parts) == 1 and not copy:

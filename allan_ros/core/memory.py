@@ -20,7 +20,7 @@ LINE = 64
 """Size of a line of the processor cache in bytes."""
 
 KNOWN = 32
-"""Largest number of different requests, each for a dtype and shapes, whose work arrays are kept."""
+"""Largest number of requests (each a dtype and several shapes) whose work arrays are kept."""
 
 
 def aligned(shape: tuple[int, ...], kind: str = 'f8') -> NDArray[Any]:

@@ -15,7 +15,7 @@ Floats = NDArray[np.float64]
 def nonnegative_least_squares(
     matrix: NDArray[Any], target: NDArray[Any], signed: ArrayLike = False
 ) -> Floats:
-    """Return the x that minimizes the norm of ``matrix @ x - target`` with x >= 0.
+    """Return the x that minimizes the norm of ``matrix @ x - target``, under the condition x >= 0.
 
     This is the active set method of Lawson and Hanson, *Solving Least Squares Problems*, 1974,
     chapter 23. `scipy.optimize.nnls` would load 20 MB of modules that nothing else needs.

@@ -88,8 +88,8 @@ this dict of which the default of the setting is an instance."""
 def expect(kind: Any, called: str = '', /, **values: object) -> None:
     """Raise AllanError for the first keyword argument whose value is not of the type ``kind``.
 
-    ``kind`` is a type or a tuple of types. True and False are valid only if ``kind`` is bool, so
-    they are not accepted as numbers. ``called`` is the name of the expected type in the
+    ``kind`` is a type or a tuple of types. True and False are valid only if ``kind`` is bool; they
+    are not accepted as numbers. ``called`` is the name of the expected type in the
     message, by default from `EXPECTED`.
     """
     for name, value in values.items():

@@ -79,6 +79,7 @@ def _option(name: str, number: Parameter) -> str:
 
 
 DEFAULT_SHAPE = {'s': (_time, 300.0), 'Hz': (_frequency, 10.0)}
+"""Unit of a shape parameter -> function that returns its option, and default."""
 
 AddedProcesses = make_dataclass(
     'AddedProcesses', _process_options(), bases=(CheckedSettings,), frozen=True
@@ -264,7 +265,7 @@ def _disturb_samples(
 ) -> None:
     """Apply the faults that change samples, in place; ``samples`` is (n, 6)."""
     times: Floats = np.arange(len(samples), dtype=np.float64) * tau0
-    # one random generator per fault, so that an added fault does not change the others
+    # each fault has its own random generator, so that an added fault does not change other faults
     rngs = {
         name: np.random.default_rng([*seed.generate_state(4).tolist(), number])
         for name, number in (('vibration', 1), ('motion', 3))
@@ -316,7 +317,7 @@ def _recursion(pole: float, inputs: Floats) -> Floats:
 
 
 def _held_index(n: int, tau0: float, rate: float) -> NDArray[np.int64]:
-    """Return for each of n samples the index of the sample whose value it repeats, (n,).
+    """Return, for each of n samples, the index of the sample whose value is repeated, (n,).
 
     A sensor with the lower rate ``rate`` in Hz gets a new value at the ticks of its own clock.
     """

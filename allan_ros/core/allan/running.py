@@ -126,7 +126,7 @@ class _State:
     def with_blocks(
         self, segment: _OpenSegment, blocks: Iterable[Block]
     ) -> tuple[_State, _SegmentSums]:
-        """Return the state and the sums of the current segment after blocks of it were added."""
+        """Return the state and the segment sums after blocks of the current segment were added."""
         periods, segment_sums = list(self.periods), segment.sums
         for block in blocks:
             age = segment.age + block.begin

@@ -45,7 +45,7 @@ class BiasModel(NamedTuple):
     """Stochastic model of the bias of one axis: noise processes and an unknown constant slope."""
 
     processes: Model
-    slope_std: float = 0.0  # prior standard deviation of the slope in SI per s; 0 for no slope
+    slope_std: float = 0.0  # prior standard deviation of the slope, in SI per s; 0 for no slope
 
     @classmethod
     def of_fit(cls, fit: AxisFit) -> BiasModel:
@@ -108,7 +108,8 @@ class BiasFilter:
     def update(self, mean: float) -> None:
         """Predict the state over 1 s, and update it with the mean of the samples of this second.
 
-        If the bias has made a step, the state is estimated only from the means after the step.
+        If a step of the bias is detected, the state is estimated again, only from the means after
+        the step.
         """
         self._update(mean)
         sums = np.cumsum([error for _, error in self._errors][::-1])
@@ -140,7 +141,10 @@ class BiasFilter:
         self._has_mean = True
 
     def pause(self, seconds: float) -> None:
-        """Predict the state over a time in s without means, for example during motion."""
+        """Predict the state over a time in s without means, for example during motion.
+
+        Before the first mean, this has no effect.
+        """
         if self._has_mean and seconds > 0.0:
             self._predict(self._space.transition(seconds), self._space.noise(seconds))
 

@@ -14,7 +14,7 @@ covariances due to the noise of the sensors as measured at rest, and s_i is the 
 noise is larger in motion. F is the covariance due to white noise in the means at the rests, and due
 to errors of second order.
 
-Each column of U is the effect of one unknown that all drives have in common, times the prior
+Each column of U is the effect of one unknown that several drives have in common, times the prior
 standard deviation of this unknown. The unknowns are the bias of the accelerometer, the rotation of
 the Earth and, if they are to be estimated, calibration errors.
 
@@ -132,7 +132,7 @@ class DriveFit(NamedTuple):
     def errors(self) -> Floats:
         """Standard errors of ``log_factors``, (k,).
 
-        Each standard error is the larger one of two estimates: from ``information``, and from the
+        Each standard error is the larger of two estimates: from ``information``, and from the
         scatter of the scores of the drives (sandwich estimate). The second estimate does not assume
         a normal distribution.
         """
@@ -182,7 +182,7 @@ class DriveLikelihood:
 
     @classmethod
     def of(cls, drives: Sequence[DriveErrors], noise: Sequence[NoiseAtRest]) -> DriveLikelihood:
-        """Return the likelihood of drives; ``noise`` is the noise of the six axes at rest."""
+        """Return the likelihood of drive errors; ``noise`` is the noise of each axis at rest."""
         white_covariances = [
             each.white_covariances([axis.white for axis in noise]) for each in drives
         ]
@@ -256,21 +256,24 @@ class DriveLikelihood:
         step, best = 1.0, evaluated(theta)
         for _ in range(MOST_STEPS):
             gradient = best.scores.sum(axis=0) - best.log_factors / prior_stds**2
-            move = np.linalg.solve(best.information, gradient)
-            move *= step * min(1.0, STEP / max(np.abs(move).max(), 1e-300))
-            trial = evaluated(best.log_factors + move)
+            change = np.linalg.solve(best.information, gradient)
+            change *= step * min(1.0, STEP / max(np.abs(change).max(), 1e-300))
+            trial = evaluated(best.log_factors + change)
             if trial.value < best.value - 1e-9:
                 step *= 0.5
                 if step < 1e-3:
                     break
                 continue
             best, step = trial, min(2.0 * step, 1.0)
-            if np.abs(move).max() < CONVERGED:
+            if np.abs(change).max() < CONVERGED:
                 break
         return best
 
     def covariances(self, groups: Groups, log_factors: Floats) -> tuple[list[Floats], Floats]:
-        """Return the list of s_i^2 M_i for all factors, and D; all arrays are (drives, 9, 9)."""
+        """Return s_i^2 M_i of all factors as a list, and D; all arrays are (drives, 9, 9).
+
+        M_i is the sum of the covariances of a group. ``log_factors`` are the logarithms of s_i^2.
+        """
         zero = np.zeros_like(self.own)
         scaled = [
             math.exp(x) * sum((self.noise.get(name, zero) for name in names), zero)
@@ -285,11 +288,11 @@ class DriveLikelihood:
         return np.concatenate([self.common, *(self.effects[name] for name in causes)], axis=2)
 
     def _evaluated(
-        self, groups: Groups, causes: tuple[str, ...], sigma: Floats, theta: Floats
+        self, groups: Groups, causes: tuple[str, ...], prior_stds: Floats, theta: Floats
     ) -> DriveFit:
         """Return the likelihood and its derivatives; ``theta`` are the logarithms of s_i^2.
 
-        ``sigma`` are the prior standard deviations of these logarithms.
+        ``prior_stds`` are the prior standard deviations of these logarithms.
         """
         scaled, d_matrix = self.covariances(groups, theta)
         inverse = np.linalg.inv(d_matrix)
@@ -301,14 +304,16 @@ class DriveLikelihood:
         mean = covariance @ np.einsum('dir,di->r', u, d_inverse_y)
         v_inverse_y = d_inverse_y - d_inverse_u @ mean
         value = -float((self.y * v_inverse_y).sum()) - float(np.linalg.slogdet(precision)[1])
-        value -= float(np.linalg.slogdet(d_matrix)[1].sum()) + float(np.square(theta / sigma).sum())
+        value -= float(np.linalg.slogdet(d_matrix)[1].sum()) + float(
+            np.square(theta / prior_stds).sum()
+        )
         # the blocks of V^-1 on its diagonal, one for each drive
         v_inverse_blocks = inverse - d_inverse_u @ covariance @ d_inverse_u.swapaxes(1, 2)
         scores = np.empty((len(self.y), len(scaled)))
         for k, m in enumerate(scaled):
             scores[:, k] = np.einsum('di,dij,dj->d', v_inverse_y, m, v_inverse_y)
             scores[:, k] -= np.einsum('dij,dji->d', v_inverse_blocks, m)
-        from_common = [
+        common_products = [
             covariance @ np.einsum('dir,dij,djs->rs', d_inverse_u, m, d_inverse_u, optimize=True)
             for m in scaled
         ]
@@ -316,15 +321,15 @@ class DriveLikelihood:
         information = np.empty((len(scaled), len(scaled)))
         for i, (a, m) in enumerate(zip(products, scaled)):
             for j, b in enumerate(products):
-                shared = np.einsum(
+                cross_products = np.einsum(
                     'dir,dij,djk,dks->rs', d_inverse_u, m, b, d_inverse_u, optimize=True
                 )
                 information[i, j] = (
                     np.einsum('dij,dji->', a, b)
-                    - 2.0 * np.sum(covariance * shared.T)
-                    + np.sum(from_common[i] * from_common[j].T)
+                    - 2.0 * np.sum(covariance * cross_products.T)
+                    + np.sum(common_products[i] * common_products[j].T)
                 )
-        information = information / 2.0 + np.diag(sigma**-2)
+        information = information / 2.0 + np.diag(prior_stds**-2)
         return DriveFit(groups, causes, theta, value, mean, covariance, information, scores / 2.0)
 
     def elements(self, fit: DriveFit, name: str) -> tuple[Floats, Floats]:
@@ -379,7 +384,8 @@ def _second_order(drive: DriveErrors) -> Floats:
 def _accel_bias(drives: Sequence[DriveErrors]) -> tuple[Floats, Floats]:
     """Return the mean, (3,), and the covariance, (3, 3), of the accelerometer bias in m/s^2.
 
-    The bias is estimated from the magnitude of the specific force at rest, which equals gravity.
+    The bias is estimated from the difference between the magnitude of the specific force at rest
+    and gravity.
     """
     force = np.array([each.force for each in drives])
     force_norm = np.linalg.norm(force, axis=1)
@@ -410,9 +416,10 @@ def _turned_earth(drives: Sequence[DriveErrors]) -> Floats:
 
 
 def _bias_scatter(slow: DriftCovariance, drives: Sequence[DriveErrors]) -> float:
-    """Return the expected sample variance of a bias at the starts of the drives.
+    """Return the expected variance of a bias among the starts of the drives.
 
-    ``slow`` is the autocovariance of the bias. Each bias is a mean over 10 s.
+    ``slow`` is the autocovariance of the bias. At each start, the bias is averaged over 10 s. The
+    result is in the squared unit of the samples.
     """
     start_times = np.array([each.start for each in drives])
     averaging_s = 10.0

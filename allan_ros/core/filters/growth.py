@@ -1,8 +1,9 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Predicted error of the integral of a sensor at given times, with intervals: `growth_table`.
+"""Predicted error of the integrated samples of a sensor at given times, with intervals.
 
-`Model.growth` defines this error: an angle for a gyro, and a velocity for an accelerometer.
+The integral is an angle for a gyro, and a velocity for an accelerometer. `Model.growth` defines the
+error.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ and T = h + W, this number is 3.0 for white noise and 1.9 for a random walk."""
 
 GROWTH_S = (1.0, 10.0, 30.0, 100.0, 300.0)
 GROWTH_WINDOW_S = 100.0
-"""Prediction horizons of `growth_table` in s, and averaging time of the bias in s."""
+"""Defaults of `growth_table`: prediction horizons in s, and averaging time of the bias in s."""
 
 
 @dataclass(frozen=True)

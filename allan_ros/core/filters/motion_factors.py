@@ -41,8 +41,9 @@ cause."""
 
 GAIN_PART = 4.0
 """Two fits are compared: one with a factor for the white noise alone, and one with a factor for the
-drift alone. The better fit is used only if its 2 log L is larger by more than this number.
-Otherwise, one factor multiplies white noise and drift."""
+drift alone. The better fit is used only if its 2 log L is larger by more than this number, and is
+at most 1 smaller than with a common factor. Otherwise, one common factor multiplies white noise and
+drift."""
 
 TYPICAL_SHARE = 0.5
 """Assumed ratio of an unresolved term to its upper limit, if another drift is resolved. In 1 h at
@@ -319,7 +320,7 @@ def _with_causes(
 
 
 def _ratio(data: DriveLikelihood, fit: DriveFit, sensor: str) -> Estimate:
-    """Return the rms error of a sensor in all drives, divided by its prediction.
+    """Return the root mean square error of a sensor in all drives, divided by its prediction.
 
     In the prediction, an unknown drift has its fitted size, but not more than its upper limit
     (`LIMIT`).
@@ -369,7 +370,7 @@ def _raised(
 
 
 def _quantile(drives: int, share: float = 0.975) -> float:
-    """Return a quantile of Student's t distribution for factors from a number of drives."""
+    """Return a quantile of Student's t distribution with ``drives`` - 2 degrees of freedom."""
     from scipy.special import stdtrit  # slow to import
 
     return float(stdtrit(drives - 2, share))
@@ -395,8 +396,8 @@ def _elements(data: DriveLikelihood, fit: DriveFit, name: str) -> tuple[Estimate
     """Return the elements of a calibration error with 95 % intervals."""
     means, deviations = data.elements(fit, name)
     half_widths = _quantile(len(fit.scores)) * deviations
-    resolved_flags = deviations < KNOWN_SHARE * CAUSES[name]
+    are_resolved = deviations < KNOWN_SHARE * CAUSES[name]
     return tuple(
         Estimate(x, (x - h, x + h)) if is_resolved else UNKNOWN
-        for x, h, is_resolved in zip(means.tolist(), half_widths.tolist(), resolved_flags.tolist())
+        for x, h, is_resolved in zip(means.tolist(), half_widths.tolist(), are_resolved.tolist())
     )

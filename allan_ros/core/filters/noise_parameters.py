@@ -8,8 +8,8 @@ the fitted coefficients (`axis_level`) or the parameters of a reduced-order mode
 Reduced-order models
 --------------------
 A state estimator with the parameters N and K underestimates its error if the sensor also has bias
-instability. A `Reduction` has larger parameters, with which the state estimator predicts at least
-the error that the complete model predicts, at all horizons.
+instability. A `Reduction` has larger parameters. With these, the state estimator predicts at least
+the error of the complete model at all horizons, or 5 % less with the bias model 'processes'.
 
 Horizons
 --------
@@ -123,16 +123,16 @@ class Reduction(NamedTuple):
     """Reduced-order model of one axis."""
 
     model: Model  # N, K and the processes with states that the state estimator assumes
-    # smallest and largest ratio, over all horizons, of the error that the reduced-order model
-    # predicts to the error that the complete model predicts (standard deviations)
+    # smallest and largest ratio, over all horizons, of the root mean square error that the
+    # reduced-order model predicts to the root mean square error that the complete model predicts
     ratio: tuple[float, float]
-    # N, and K if it is used, with their intervals; empty if the model did not come from the fit of
-    # an axis
+    # N, and K if the model has a random walk, with their intervals; empty if the model did not come
+    # from the fit of an axis
     levels: Mapping[str, FilterLevel]
 
     @property
     def poor(self) -> bool:
-        """Whether the predicted error of the complete model is missed by more than a factor of 2.
+        """Whether the errors that both models predict differ by more than a factor of 2.
 
         The horizon with the largest difference counts.
         """
@@ -258,10 +258,10 @@ def closest_process(
     tau: float | None = None,
     bound: bool = True,
 ) -> tuple[float, float] | None:
-    """Return the single process that replaces all drift of a model with the least error.
+    """Return the parameters of the process that best replaces all drift of a model.
 
-    The process minimizes the largest relative difference, over all horizons, between the error that
-    it predicts and the error that the complete model predicts.
+    This process and the white noise of the model minimize the largest relative difference, over all
+    horizons, between the error that they predict and the error that the complete model predicts.
 
     Parameters
     ----------
@@ -368,8 +368,9 @@ def reduce_axis(
         ``levels`` are N and, if the model has a random walk or K was added, K. With 'none' and
         'walk', the interval of an increased value comes from the reduced-order models of two
         complete models: one with all coefficients at the lower ends of their 95 % intervals, and
-        one with all coefficients at the upper ends. It is unknown with 'processes', or if a term of
-        the model has neither an interval nor a limit.
+        one with all coefficients at the upper ends. The interval is unknown with 'processes', or if
+        a term of the model has neither an interval nor a limit. An increase of up to 0.1 % does
+        not count.
 
     Raises
     ------

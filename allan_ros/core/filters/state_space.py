@@ -11,7 +11,7 @@ The states are the integral of the samples (angle or velocity) and the component
 Bias instability
 ----------------
 Bias instability has no exact model with a finite number of states. It is approximated by four
-Gauss-Markov processes with logarithmically spaced correlation times. Their Allan variance agrees
+Gauss-Markov processes with logarithmically spaced correlation times. Their Allan deviation agrees
 with bias instability within 5 % from about 3 s to 3000 s.
 """
 
@@ -70,7 +70,7 @@ class StateSpace:
 
     @property
     def _blocks(self) -> list[tuple[float, Process, slice]]:
-        """Coefficient, process and state indices of the random walk and of each other process."""
+        """Coefficient, process and state indices for the random walk and each other process."""
         blocks, first = [], 1
         for value, process in ((self.walk, BY_LETTER['K']), *self.processes):
             size = len(_states(process).output)
@@ -186,8 +186,8 @@ def state_space(model: Model) -> StateSpace:
 
     Bias instability becomes the Gauss-Markov processes of `flicker_processes`. These processes lack
     the components of bias instability that are slower than the longest correlation time T.
-    Therefore, K^2 of the random walk is increased by B^2/(3 pi T). Quantization, ramp and sinusoids
-    are excluded, because they have no states.
+    Therefore, K^2 of the random walk is increased by B^2/(3 pi T). Processes without own states,
+    such as quantization, a ramp or a sinusoid, are excluded (see `has_states`).
     """
     n, b, k = (model.value(letter) for letter in 'NBK')
     slow_walk = b / math.sqrt(3.0 * math.pi * LONGEST_TIME_S)
@@ -200,7 +200,7 @@ def state_space(model: Model) -> StateSpace:
 def has_states(process: Process) -> bool:
     """Return whether a process has its own states in a `StateSpace`.
 
-    A ramp has none: the slope of the random walk represents it.
+    A ramp has no own states: the slope of the random walk represents the ramp.
     """
     return process.states() is not None and not process.is_regressor
 

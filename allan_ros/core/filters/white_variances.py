@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Variances of one sample, for the covariances in messages of an IMU: white noise and bias."""
+"""Variances of one sample due to white noise and bias, for the covariances in IMU messages."""
 
 from __future__ import annotations
 
@@ -92,13 +92,13 @@ def scaled_variances(
 def cover_bias(
     variances: dict[str, Variances], bias: Mapping[str, Estimate], messages: float
 ) -> dict[str, Variances]:
-    """Return the variances, with the variances of the gyro increased so that they cover the bias.
+    """Return the variances, in which the variances of the gyro are increased to cover the bias.
 
-    ``messages`` is the number of samples that a state estimator integrates. From the increased
-    variances, the state estimator computes a variance of the integral that covers the error due to
-    noise and bias. ``bias`` is axis -> bias at rest in SI for each axis with a known bias; an
-    unknown bias is taken as 0. The bias of an accelerometer is unknown, because it cannot be
-    distinguished from gravity.
+    ``messages`` is the number of samples that a state estimator integrates; less than 1 counts as
+    1. From the increased variances, the state estimator computes a variance of the integral that
+    covers the error due to noise and bias. ``bias`` is axis -> bias at rest in SI for each axis
+    with a known bias; an unknown bias is taken as 0. The bias of an accelerometer is unknown,
+    because it cannot be distinguished from gravity.
     """
     if 'gyro' not in variances:
         return variances
@@ -109,6 +109,7 @@ def cover_bias(
         for axis_bias in biases
     )
     x, y, z = (
-        noise + bias_variance for noise, bias_variance in zip(variances['gyro'], bias_variances)
+        variance + bias_variance
+        for variance, bias_variance in zip(variances['gyro'], bias_variances)
     )
     return {**variances, 'gyro': (x, y, z)}
