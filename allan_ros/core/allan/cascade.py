@@ -30,6 +30,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator
+from copy import copy
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from typing import NamedTuple
@@ -244,6 +245,13 @@ class _RunningLevel:
         self.halves = [
             _HalfBlocks.none(group, rows - 1, self.kind) for group in level_of(level).groups
         ]
+
+    def __deepcopy__(self, memo: object) -> _RunningLevel:
+        """Return an independent copy; the points that are not filled yet are not copied."""
+        copied = copy(self)
+        copied.points = aligned(self.points.shape)
+        copied.points[:, : _KEPT + self.fill] = self.points[:, : _KEPT + self.fill]
+        return copied
 
     @property
     def size(self) -> int:
