@@ -68,7 +68,7 @@ class SumsOutput:
 
     @property
     def sums(self) -> tuple[AllanSums, ...]:
-        """The latest published sums of this input."""
+        """The sums in the latest snapshot of this input; empty before the first snapshot."""
         return self.latest.sums if self.latest is not None else ()
 
     def add_listener(self, listener: Callable[[Snapshot], None]) -> None:
@@ -87,11 +87,12 @@ class SumsOutput:
         a message is made and published only if the topic has a subscriber.
         """
         self.latest, self.state = snapshot, state
-        complete = snapshot if accel is None else snapshot.with_accel(accel)
+        complete_snapshot = snapshot if accel is None else snapshot.with_accel(accel)
         for listener in self._listeners:
-            listener(complete)
+            listener(complete_snapshot)
         if self._publisher.get_subscription_count():
-            text = json.dumps(complete.to_document(), separators=(',', ':'), allow_nan=False)
+            document = complete_snapshot.to_document()
+            text = json.dumps(document, separators=(',', ':'), allow_nan=False)
             self._publisher.publish(String(data=text))
 
 
@@ -102,8 +103,8 @@ class ImuWatch(NodePart):
     when they are saved, reset or replaced, when the first means at rest are known, and when the
     frame_id, axes or faults of the input change. ``sensor`` is the only sensor that is used, or ''
     for both sensors. ``accel`` is the `ImuWatch` of an accelerometer with its own topic. If
-    ``accel`` is given, ``output`` publishes the sums of both sensors whenever the sums of one
-    sensor are due, and the services reset or save the sums of both.
+    ``accel`` is given, ``output`` publishes the sums of both sensors together, also each time that
+    ``accel`` publishes its own sums, and the services reset or save the sums of both.
     """
 
     def __init__(
@@ -186,13 +187,13 @@ class ImuWatch(NodePart):
             now, statistics, health, publishers, stale_after, stream_findings, graph_findings
         )
         own_topic = self.output.topic
-        # a second publisher is another node with the same name
+        # a second publisher of the sums is another node with the same name
         if (count := self._node.count_publishers(own_topic)) > 1:
             names = ', '.join(map(full_name, self._node.get_publishers_info_by_topic(own_topic)))
-            shared_topic = finding(
+            shared_topic_finding = finding(
                 'relay_several_publishers', count=count, topic=own_topic, names=names
             )
-            input_findings = *input_findings, shared_topic
+            input_findings = *input_findings, shared_topic_finding
         faults = faults_of(input_findings)
         self._faults = tuple(f for f in faults if f.axes)
         if len(self._faults) < len(faults):
@@ -332,7 +333,7 @@ class ImuWatch(NodePart):
 
     def _state(self) -> object:
         """Return a value whose change means that the estimator must receive the sums at once."""
-        has_means = any(len(each.end_ns) for each in self._stream.means())
+        has_means = any(len(means.end_ns) for means in self._stream.means())
         return self.frame_id, self._axes, has_means, kinds_of(self._faults)
 
     def _publish(self, total: Total) -> None:

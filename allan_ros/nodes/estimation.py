@@ -167,7 +167,10 @@ class ImuEstimate(NodePart):
         measured_axes = [(axis, s, s.identity) for s in latest.sums for axis in s.axes]
         connected_imu = ImuIdentity(latest.frame_id, latest.hardware_id)
         waiting_axes = [(axis, None, connected_imu) for axis in latest.axes]
-        statuses = [self._axis_status(now, *each) for each in measured_axes or waiting_axes]
+        statuses = [
+            self._axis_status(now, axis, sums, imu)
+            for axis, sums, imu in measured_axes or waiting_axes
+        ]
         if latest.drives.errors or latest.drives.unused:
             name = status_name(self._node, self._label, 'in motion')
             imu_name = one_line(latest.hardware_id or latest.frame_id)
@@ -248,7 +251,7 @@ class ImuEstimate(NodePart):
         Fewer than `LEAST_DRIVES` drives do not count as new.
         """
         starts, former_starts = (
-            [each.start for each in errors] for errors in (drives.errors, self._driven)
+            [drive.start for drive in errors] for errors in (drives.errors, self._driven)
         )
         return len(starts) >= LEAST_DRIVES and starts != former_starts
 
@@ -327,12 +330,13 @@ class SumsInput(NodePart):
 
     def statuses(self, now: float) -> list[DiagnosticStatus]:
         """Return a status that reports missing or unreadable sums."""
-        age = now - self._last
-        patience = STALE_PERIODS * self._node.publish.value.sums_period
+        age_s = now - self._last
+        longest_age_s = STALE_PERIODS * self._node.publish.value.sums_period
         if not self._node.count_publishers(self.topic):
-            patience = min(patience, ALONE_S)
-        findings = [finding('no_sums', topic=self.topic, seconds=age)] if age > patience else []
-        pairs: list[tuple[str, object]] = [('topic', self.topic), ('sums age [s]', age)]
+            longest_age_s = min(longest_age_s, ALONE_S)
+        no_sums = finding('no_sums', topic=self.topic, seconds=age_s)
+        findings = [no_sums] if age_s > longest_age_s else []
+        pairs: list[tuple[str, object]] = [('topic', self.topic), ('sums age [s]', age_s)]
         text = f'sums arrive on {self.topic}'
         status = status_of(status_name(self._node, 'sums'), findings, text, pairs)
         if self._problem:

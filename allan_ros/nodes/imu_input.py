@@ -255,7 +255,7 @@ class ImuInput:
         self._drained_s = now_s
 
     def batches(self) -> Iterator[ImuBatch]:
-        """Decode the messages received since the last call, in SI units, and yield them in order.
+        """Decode the messages received since the last call, and yield their samples in SI.
 
         All samples of a batch have the same frame_id. Malformed messages are counted and excluded.
         If the thread that fetches messages has failed since the last call, its exception is raised.
@@ -268,7 +268,7 @@ class ImuInput:
             self._statistics.received += len(buffer.payloads)
         self._statistics.sent_before += buffer.sent_before
         self._statistics.skipped_numbers += buffer.skipped_numbers
-        payloads, received = buffer.payloads, np.array(buffer.received_ns, np.int64)
+        payloads, received_ns = buffer.payloads, np.array(buffer.received_ns, np.int64)
         arrived_s = np.array(buffer.arrived_s)
         try:
             decoded = decode_imus(payloads, 'cdr')
@@ -276,11 +276,11 @@ class ImuInput:
             is_valid = [is_imu(payload, 'cdr') for payload in payloads]
             self._statistics.malformed += is_valid.count(False)
             decoded = decode_imus(list(compress(payloads, is_valid)), 'cdr')
-            received, arrived_s = (x[np.array(is_valid, bool)] for x in (received, arrived_s))
+            received_ns, arrived_s = (x[np.array(is_valid, bool)] for x in (received_ns, arrived_s))
         self._arrivals.update(decoded.stamps_ns, arrived_s)
-        if len(received):
+        if len(received_ns):
             self.constant.update(decoded.samples)
-        for batch in decoded.batches(received):
+        for batch in decoded.batches(received_ns):
             yield replace(batch, samples=batch.samples * self._scale)
 
     def publishers(self) -> tuple[tuple[str, ...], tuple[Finding, ...]]:
@@ -298,8 +298,8 @@ class ImuInput:
             types = ', '.join(sorted({p.topic_type for p in publishers}))
             topics = [
                 topic
-                for topic, kinds in self._node.get_topic_names_and_types()
-                if IMU_TYPE in kinds and topic != self.topic
+                for topic, topic_types in self._node.get_topic_names_and_types()
+                if IMU_TYPE in topic_types and topic != self.topic
             ]
             suggestions = ', '.join(sorted(topics)[:SUGGESTED_TOPICS])
             candidates = f', such as {suggestions}' if suggestions else ''
@@ -309,9 +309,11 @@ class ImuInput:
             own_qos = self._subscription.qos_profile
             compatibility, reason = qos_check_compatible(publisher.qos_profile, own_qos)
             if compatibility == QoSCompatibility.ERROR:
-                values = {'names': full_name(publisher), 'topic': self.topic}
+                name = full_name(publisher)
                 reason_text = one_line(reason).removeprefix('ERROR: ').strip('; ')
-                mismatches.append(finding('qos_incompatible', reason=reason_text, **values))
+                mismatches.append(
+                    finding('qos_incompatible', reason=reason_text, names=name, topic=self.topic)
+                )
         return tuple(mismatches)
 
     @property

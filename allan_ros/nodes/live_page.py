@@ -120,9 +120,9 @@ class LivePage:
         sums = dict(self._sums)  # a copy, because another thread adds topics
         topic = next(iter(sums)) if path == '/' and len(sums) == 1 else path
         if topic in sums:
-            received, text = sums[topic]
+            received_s, text = sums[topic]
             is_running = self._node.count_publishers(topic) > 0
-            return _with_age(_report(topic, text), time.monotonic() - received, is_running)
+            return _with_age(_report(topic, text), time.monotonic() - received_s, is_running)
         return _index(sorted(sums)) if path == '/' else None
 
     def close(self) -> None:

@@ -106,8 +106,13 @@ class Snapshot:
             }
             for each_means in self.means
         ]
-        live = {'imu': imu, 'means': means, 'faults': [each.document() for each in self.faults]}
-        return {**sums_file_to_document(*self.total), **live}
+        faults = [fault.document() for fault in self.faults]
+        return {
+            **sums_file_to_document(*self.total),
+            'imu': imu,
+            'means': means,
+            'faults': faults,
+        }
 
     @classmethod
     def from_json(cls, text: str) -> Snapshot:
@@ -134,15 +139,15 @@ def _means(documents: Any) -> tuple[Means, ...]:
     try:
         means = tuple(
             Means(
-                tuple(str(axis) for axis in each['axes']),
-                np.array(each['end_ns'], np.int64),
-                np.array(each['values'], float).reshape(len(each['end_ns']), len(each['axes'])),
+                tuple(str(axis) for axis in part['axes']),
+                np.array(part['end_ns'], np.int64),
+                np.array(part['values'], float).reshape(len(part['end_ns']), len(part['axes'])),
             )
-            for each in documents
+            for part in documents
         )
     except (TypeError, ValueError, KeyError, OverflowError) as error:
         raise AllanError(f'sums: its means cannot be read ({error!r})') from error
-    if not all(np.isfinite(each.values).all() for each in means):
+    if not all(np.isfinite(part.values).all() for part in means):
         raise AllanError('sums: its means are not finite numbers')
     return means
 

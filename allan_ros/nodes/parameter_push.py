@@ -316,7 +316,7 @@ class ParameterPush(NodePart):
         return proposals
 
     def _setting(self, proposals: list[Proposal]) -> Requests:
-        """Read the parameters of the other node, and set those that differ from the proposals."""
+        """Read the parameters of the other node, and set proposals that differ and are allowed."""
         answers = yield self._read([proposal.name for proposal in proposals])
         if self._refusal:  # setting values may have become forbidden since the request was sent
             return
@@ -417,7 +417,7 @@ class ParameterPush(NodePart):
         return True
 
     def _forget_unsent(self) -> None:
-        """Forget the stored former value of each parameter whose present value is the same."""
+        """Forget the former value of each parameter that has its former value at present."""
         for held in self._held.values():
             if held.now == held.found:
                 held.found = ()

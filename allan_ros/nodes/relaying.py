@@ -215,7 +215,7 @@ class ImuRelay(NodePart):
         self._patch = CovariancePatch({})
         self._made_of: tuple[object, ...] = ()  # inputs from which the patch was made
         self._last_malformed = self._last_frame = ''
-        # variances from the noise model, which do not cover the bias, and their inputs
+        # variances of the noise model without the bias, and the values from which they are computed
         self._measured: dict[str, Variances] = {}
         self._measured_of: tuple[object, ...] = None, None
         # upper end of the 95 % interval of N, divided by the lower end; 1 without a horizon

@@ -245,11 +245,11 @@ class Watch(Node):
         if self._options.once:
             is_settled = self._first is not None and now - self._first >= SETTLE_S
             publishers = self.count_publishers(TOPIC)
-            patience = self._options.seconds or (PATIENCE_S if publishers else NOBODY_S)
+            longest_wait_s = self._options.seconds or (PATIENCE_S if publishers else NOBODY_S)
             is_settled = (
                 is_settled and now - self._began >= DISCOVERY_WAIT_S and not self._missing()
             )
-            is_done = is_settled or now - self._began >= patience
+            is_done = is_settled or now - self._began >= longest_wait_s
         else:
             has_no_status = not self._latest and now - self._began >= HINT_S
             self._show(self._hint() if has_no_status else '')

@@ -53,7 +53,8 @@ class Survey:
 
     topics: dict[TopicKey, Topic] = field(default_factory=dict)
     counts: Counter[TopicKey] = field(default_factory=Counter)
-    truncation: Truncation | None = None  # truncation of the first truncated file
+    # truncation of the first truncated file; None if no file is truncated
+    truncation: Truncation | None = None
 
     def listed(self, keys: Iterable[TopicKey]) -> str:
         """Return the name, type and number of messages of these topics, as text.

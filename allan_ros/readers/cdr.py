@@ -190,7 +190,7 @@ def _drop_absent(decoded: DecodedImus, sensor: str, absent_rows: NDArray[np.intp
 def _grouped_by_layout(
     payloads: Sequence[bytes | memoryview] | NDArray[np.void], encoding: Encoding
 ) -> Iterator[tuple[slice | NDArray[np.intp], NDArray[Any]]]:
-    """Yield the positions and the records of the messages of each group with the same layout."""
+    """For each group of messages with the same layout, yield their positions and records."""
     n = len(payloads)
     # messages of equal length have the same layout if these fields are equal, too
     fields = ('frame_bytes',) if encoding == 'ros1' else ('frame_bytes', 'representation')

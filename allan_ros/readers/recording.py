@@ -99,7 +99,7 @@ class ReadOptions(CheckedSettings):
     )
 
     def in_si(self, batch: ImuBatch) -> ImuBatch:
-        """Return a batch whose samples are converted from the units of the options to SI."""
+        """Return a batch with its samples converted from the units in the options to SI."""
         options = self.with_units()
         counts = np.repeat([self.gyro_counts, self.accel_counts], 3)
         factors = sample_factors(options.gyro_unit, options.accel_unit) / counts

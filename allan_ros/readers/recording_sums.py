@@ -99,7 +99,7 @@ class RecordingSums:
     # temperature over time of each recording; None for a recording without temperature
     temperatures: tuple[TemperatureTrace | None, ...] = ()
     events: tuple[Event, ...] = ()  # shocks, motions and changes of the noise
-    drives: Drives = NO_DRIVES  # motions between two rests
+    drives: Drives = NO_DRIVES  # errors of the drives, which are motions between two rests
 
     def __add__(self, other: RecordingSums) -> RecordingSums:
         """Return the Allan sums of both recordings together.

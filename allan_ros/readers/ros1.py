@@ -2,7 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Read the messages of a ROS 1 bag with the package ``rosbags``.
 
-The bag must be closed and indexed. The package does not limit the memory for a chunk.
+The recorder must have closed the bag, so that it has an index. The package does not limit the
+memory for a chunk.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ REMEDY = 'copy it again, or repair it with "rosbag reindex" or "rosbag fix"'
 
 
 class Ros1Storage:
-    """A ROS 1 bag that ``reader`` of the package ``rosbags`` has opened.
+    """A ROS 1 bag that is open in ``reader``, an object of the package ``rosbags``.
 
     Error messages name the bag ``path``.
     """

@@ -81,10 +81,10 @@ class ImuStream:
     look-ahead. ``hardware_id`` identifies the IMU if the user states it. ``sensor`` is 'gyro' or
     'accel' if the other sensor is in another stream; this stream then ignores the values of the
     other sensor. ``with_samples`` also keeps all samples at rest in memory, ``with_drives`` keeps
-    the errors of the latest drives between two rests, and ``with_means`` keeps the latest means of
-    one second. With ``covered``, each time is counted once: samples are excluded if earlier samples
-    cover their time, or if their time is in one of the stretches ``covered``, (first, last) stamp
-    in ns.
+    the errors of the latest drives between two rests, and ``with_means`` keeps the latest means
+    over one second. With ``covered``, each time is counted once: samples are excluded if earlier
+    samples cover their time, or if their time is in one of the stretches ``covered``, (first, last)
+    stamp in ns.
     """
 
     def __init__(
