@@ -179,7 +179,7 @@ class Watch(Node):
         self._wanted = f'/{options.node.strip("/")}/' if options.node.strip('/') else ''
         self._levels: dict[tuple[str, str], str] = {}  # last printed level of each status
         self._hinted = False
-        self._final: list[StatusRow] = []  # rows when the node was closed
+        self._final: list[StatusRow] = []  # latest rows at the time when the node was closed
         self._console = None if options.json or options.plain else terminal()
         self._live: Live | None = None
         if self._console and not options.once:

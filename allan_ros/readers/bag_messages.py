@@ -185,7 +185,7 @@ def decompress_file(source: Path, compression: str, target: Path) -> None:
     ):
         limit = os.fstat(file.fileno()).st_size * MAX_FILE_RATIO + MAX_CHUNK_BYTES
         # the longest zstd header has 18 bytes (RFC 8878, 3.1.1)
-        stated = _stated_size(file.read(18), compression)
+        stated_size = _stated_size(file.read(18), compression)
         file.seek(0)
         content = _expanding(file, compression)
         size = 0
@@ -194,7 +194,7 @@ def decompress_file(source: Path, compression: str, target: Path) -> None:
             if size > limit:
                 raise ValueError(f'it expands more than {MAX_FILE_RATIO} times')
             target_file.write(data)
-        if size < max(stated, 1):
+        if size < max(stated_size, 1):
             raise ValueError(f'the {compression} data end early')
 
 

@@ -117,8 +117,8 @@ class Contents:
             number, schema = struct.unpack_from('<HH', data, at)
             name, at = _text(data, at + 4)
             encoding, at = _text(data, at)
-            kind = normal_type(self.schemas.get(schema, ''))
-            self.topics[number] = Topic(number, name, kind, encoding)
+            message_type = normal_type(self.schemas.get(schema, ''))
+            self.topics[number] = Topic(number, name, message_type, encoding)
         elif opcode == STATISTICS_OPCODE:
             self.totals = STATISTICS_HEAD.unpack_from(data, at)
             size = self.totals[-1]
@@ -191,7 +191,7 @@ class McapStorage:
         """
         if not self._contents.stated:
             return read
-        stated = sum(self._contents.stated[number] for number in ids)
+        stated = sum(self._contents.stated[channel] for channel in ids)
         return max(stated, read) if self.truncation else stated  # the index may be truncated, too
 
     def blocks(self, ids: set[int]) -> Iterator[Messages]:

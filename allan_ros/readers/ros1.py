@@ -53,7 +53,7 @@ class Ros1Storage:
         stated: Counter[int] = Counter()
         for chunk in self._reader.chunk_infos:
             stated.update(chunk.connection_counts)
-        return sum(stated[number] for number in ids)
+        return sum(stated[topic_id] for topic_id in ids)
 
     def blocks(self, ids: set[int]) -> Iterator[Messages]:
         """Yield all messages of the topics ``ids`` in blocks, in the order of record time."""

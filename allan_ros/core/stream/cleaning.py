@@ -63,7 +63,7 @@ MOST_COVERED = 256
 def unit_of_stamps(stamps: Stamps) -> str:
     """Return the unit of integer stamps, (n,): 'us', 'ms' or 'ns'.
 
-    It is 'us' or 'ms' if the stamps are in the range `EPOCH_S` in this unit and their median
+    It is 'us' or 'ms' if the stamps in this unit are times since 1970 (`EPOCH_S`), and their median
     step is above 0 and at most `SLOWEST_S`. Otherwise, it is 'ns'.
 
     >>> import numpy as np

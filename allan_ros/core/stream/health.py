@@ -26,7 +26,8 @@ rest, but its noise is larger than the noise floor. 'noise_decreased': the noise
 smaller than the noise floor, or the axis is clipped and was not before."""
 
 PLAUSIBLE_RATE_HZ = 0.1, 1e5
-"""Range of sample rates in Hz; outside of this range, the unit of the stamps is probably wrong."""
+"""Smallest and largest plausible sample rate in Hz. At another rate, the unit of the stamps is
+probably wrong."""
 
 RATE_CHANGE = 0.02
 """Smallest relative difference between two sample periods that counts as a change of the rate."""
@@ -230,9 +231,9 @@ class Means(NamedTuple):
 
 
 def events(health: StreamHealth) -> Counter[str]:
-    """Return id of a finding -> number of events or samples that cause it; causes before effects.
+    """Return finding id -> number of events or samples that cause the finding, since the start.
 
-    Events and samples are counted since the start.
+    Findings about causes come before findings about their effects.
     """
     c = health.counts
     return Counter(
@@ -397,9 +398,9 @@ def sums_findings(sums: AllanSums) -> list[Finding]:
 
 
 def _equal_axes(sums: AllanSums) -> list[Finding]:
-    """Return a finding for each pair of axes with equal Allan sums: a driver copies one axis.
+    """Return a finding for each pair of axes with equal Allan sums.
 
-    Axes without noise are not compared.
+    Such axes are copies of one axis, by mistake of a driver. Axes without noise are not compared.
     """
     if not len(sums.sum_sq):
         return []
@@ -457,7 +458,7 @@ def _norm_at_rest(sums: AllanSums, axes: list[int]) -> float:
 
 
 def gravity_unit(norm: float) -> str:
-    """Return the unit in which ``norm`` is the magnitude of gravity, or '' if there is none.
+    """Return the unit in which ``norm`` is the magnitude of gravity, or '' if no unit fits.
 
     ``norm`` is the magnitude of a mean acceleration in an unknown unit. It may differ from gravity
     by less than the fraction `G_BAND`.

@@ -71,7 +71,7 @@ FAULTY_S = 600.0
 lasted longer than the noise before."""
 
 LEAST_FAULTY = 4
-"""Known faults are searched for in this number of latest windows, if none of these is at rest."""
+"""Number of latest windows that are searched for known faults if none of them is at rest."""
 
 MOST_FILLED = 0.1
 """Largest share of interpolated samples in a window that is searched for outliers."""
@@ -129,7 +129,7 @@ class MotionGate:
 
     @property
     def _clipped(self) -> tuple[Finding, ...]:
-        """A finding for each axis that is clipped now, but not at the noise level of the result."""
+        """A finding for each axis that is clipped now, but not in the sums that are the result."""
         floor, published_floor = self._levels.present.floor, self._levels.published.floor
         if floor is None or published_floor is None:
             return ()
@@ -164,7 +164,7 @@ class MotionGate:
 
     @property
     def increases(self) -> dict[str, float]:
-        """Axis -> largest ratio of its noise at rest to the noise floor when noise was increased.
+        """Axis -> largest ratio of the increased noise at rest to the noise floor.
 
         Only ratios above 1 are included. It is empty if the noise of no axis was increased.
         """
@@ -299,7 +299,7 @@ class MotionGate:
 
     @property
     def _is_settled(self) -> bool:
-        """Whether a window at rest can only belong to the present level, and the IMU is at rest."""
+        """Whether the IMU is at rest, and there is no other level that windows may belong to."""
         is_only_level = self._levels.other is None and bool(self._rest.floor.variance.all())
         return is_only_level and self._rest.motion is None
 

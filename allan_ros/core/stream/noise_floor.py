@@ -212,7 +212,7 @@ class NoiseFloor:
 
     @property
     def heavy(self) -> Flags:
-        """Which axes have heavy tails, (axes,): isolated large values are noise, not spikes."""
+        """Which axes have noise with heavy tails, (axes,): large values on them are no spikes."""
         return np.asarray(self.outliers >= max(LEAST_HEAVY, HEAVY_SHARE * self.examined))
 
     def with_outliers(self, rows: Floats) -> NoiseFloor:
@@ -227,8 +227,8 @@ class NoiseFloor:
         # half the resolution is added, because the deviations are rounded
         limit = OUTLIER_MADS * (_quantile(deviation, 0.5) + 0.5 * self.lsb)
         outliers = np.count_nonzero(deviation > limit[:, None], axis=1)
-        number = self.examined + deviation.shape[1]
-        return replace(self, outliers=self.outliers + outliers, examined=number)
+        examined = self.examined + deviation.shape[1]
+        return replace(self, outliers=self.outliers + outliers, examined=examined)
 
     @cached_property
     def scale(self) -> Floats:

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The stages from the samples to the Allan sums of axes that are sampled together."""
+"""Computes the Allan sums of axes that are sampled together, in stages, from their samples."""
 
 from __future__ import annotations
 

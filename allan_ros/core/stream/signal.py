@@ -83,7 +83,10 @@ class SignalEnvelope:
         return -(-self._samples // self._step)
 
     def statistics(self, step: int = 1) -> dict[str, Floats]:
-        """Return the `BIN_STATISTICS` of each group of ``step`` bins, each (groups, 6), in SI."""
+        """Return name -> statistic of each group of ``step`` bins, (groups, 6), in SI.
+
+        `BIN_STATISTICS` lists the names of the statistics.
+        """
         starts = np.arange(0, self.bins, step)
         return {
             name: join.reduceat(self._bins[name][: self.bins], starts)

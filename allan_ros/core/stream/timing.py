@@ -361,9 +361,11 @@ class SampleClock:
         """
         begin, steps = self._processed, [np.empty(0, np.int64)]
         while self.clock is not None and not self.rate_changed:
-            ready = len(self._samples) - self._processed - look_ahead
+            number_ready = len(self._samples) - self._processed - look_ahead
+            if look_ahead:
+                number_ready -= number_ready % CLOCK_BLOCK
             number_to_update = (TRACK_BLOCKS - self._blocks % TRACK_BLOCKS) * CLOCK_BLOCK
-            number = min(ready - ready % CLOCK_BLOCK if look_ahead else ready, number_to_update)
+            number = min(number_ready, number_to_update)
             if number < 1:
                 break
             steps.append(self._process(number, self.clock))
@@ -418,11 +420,12 @@ class SampleClock:
         lost, split = np.zeros(len(step), np.int64), step < 0
         interpolated: Counter[int] = Counter()  # number of interpolated samples of each clock block
         for j in np.flatnonzero(step > clock.pause_ns).tolist():
-            lost[j] = number = self._count_lost(np.where(split, 0, 1 + lost)[:j], clock)
-            total = interpolated[j // CLOCK_BLOCK] + number
-            split[j] = number > self._settings.max_bridge or total > BRIDGED_SHARE * CLOCK_BLOCK
+            lost[j] = number_lost = self._count_lost(np.where(split, 0, 1 + lost)[:j], clock)
+            number = interpolated[j // CLOCK_BLOCK] + number_lost
+            is_long = number_lost > self._settings.max_bridge
+            split[j] = is_long or number > BRIDGED_SHARE * CLOCK_BLOCK
             if not split[j]:
-                interpolated[j // CLOCK_BLOCK] = total
+                interpolated[j // CLOCK_BLOCK] = number
         return lost, split
 
     def _count_same_rate(self, step: Stamps, steps: Ints, clock: Clock) -> int:

@@ -134,17 +134,19 @@ class Arrivals:
 
     def _add(self, stamps: NDArray[np.float64], received_s: NDArray[np.float64], lost: int) -> None:
         """Process messages with stamps in s, of which only the first can follow a step."""
-        first, last_received = float(stamps[0]), float(received_s[-1])
-        latest = first if self._latest is None else self._latest[0]
-        if first - latest > STEP_S:
-            self._judge(first, float(received_s[0]), lost)
+        first_stamp, last_received = float(stamps[0]), float(received_s[-1])
+        latest_stamp = first_stamp if self._latest is None else self._latest[0]
+        if first_stamp - latest_stamp > STEP_S:
+            self._judge(first_stamp, float(received_s[0]), lost)
         self._offsets.extend(zip(received_s.tolist(), (stamps - received_s).tolist()))
         oldest_s = float(received_s.max()) - ENVELOPE_S
         while self._offsets[0][0] < oldest_s:
             self._offsets.popleft()
-        was_set_back = first < latest - STEP_S
-        largest = float(stamps.max())
-        self._latest = largest if was_set_back else max(largest, latest), last_received
+        was_set_back = first_stamp < latest_stamp - STEP_S
+        largest_stamp = float(stamps.max())
+        if not was_set_back:
+            largest_stamp = max(largest_stamp, latest_stamp)
+        self._latest = largest_stamp, last_received
 
     def _judge(self, stamp: float, received_s: float, lost: int) -> None:
         """Count the interruption or the step of the clock that explains a gap in the stamps."""

@@ -80,8 +80,8 @@ def is_stuck(rows: Floats, size: int) -> Flags:
     """Return in which windows of ``size`` samples an axis repeats one value, (axes, k).
 
     ``rows`` are the samples, (axes, n), and samples after the last complete window are ignored. The
-    axis must repeat the value without interruption for at least `STUCK_SHARE` of the window, and
-    may change in the rest, for example when a fault begins or ends.
+    axis must repeat the value without interruption for at least `STUCK_SHARE` of the window. It may
+    change in the remaining part, for example when a fault begins or ends.
     """
     windows = rows[:, : rows.shape[1] // size * size].reshape(len(rows), -1, size)
     index = np.arange(size)
@@ -146,7 +146,7 @@ class RecentWindows:
         return sum(len(part.still) for part in self._parts)
 
     def with_part(self, part: WindowPart, most: int) -> RecentWindows:
-        """Return the last ``most`` windows, or all windows, after ``part`` is appended."""
+        """Return these windows followed by ``part``, but at most the last ``most`` windows."""
         return RecentWindows((*self._parts, part)).last(most)
 
     def last(self, number: int) -> RecentWindows:
