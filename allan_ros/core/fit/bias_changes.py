@@ -245,8 +245,9 @@ TESTED_RECORDINGS = 4
 """Number of the longest recordings that are tested for a settling."""
 
 MOST_LEFT = 1.0
-"""Largest part of a settling that may be left at the end of a recording, relative to the Allan
-deviation of the noise at the time constant. If more is left, the sensor has not settled."""
+"""Largest part of a settling that may be left at the end of the first segment of a recording,
+relative to the Allan deviation of the noise at the time constant. If more is left, the sensor has
+not settled."""
 
 
 @dataclass(frozen=True)
@@ -281,12 +282,15 @@ class _Sensor:
     noise: Mapping[int, AxisSegment]
 
     def effects(self, time: float) -> dict[int, FittedEffects]:
-        """Return index of an axis -> fit with a settling; ``time`` is T in samples."""
+        """Return axis index -> fit with a settling; its time constant is ``time`` in samples."""
         decay = self.segment.contrasts_of(_decays([time], self.segment.means))
         return {axis: one.with_effects(decay) for axis, one in self.noise.items()}
 
     def gain(self, time: float) -> float:
-        """Return the gain of a settling in -2 log L, summed over the axes."""
+        """Return the gain in -2 log L of a settling with the time constant ``time`` in samples.
+
+        The gain is summed over the axes.
+        """
         return sum(max(one.gain, 0.0) for one in self.effects(time).values())
 
     def best_time(self) -> tuple[float, float]:
@@ -322,17 +326,17 @@ def settling(sums: AllanSums, known: Statistics, axes: Sequence[int]) -> SensorS
     statistics of the sums, and ``axes`` are the indices of the axes.
     """
     tau0 = sums.tau0 or 1.0
-    by_length = sorted(range(len(sums.recordings)), key=lambda i: -sums.recordings[i].samples)
+    longest_first = sorted(range(len(sums.recordings)), key=lambda i: -sums.recordings[i].samples)
     sensors = {}
-    for i in by_length[:TESTED_RECORDINGS]:
+    for i in longest_first[:TESTED_RECORDINGS]:
         recording = sums.recordings[i]
         first_means = recording.means[0] if recording.means else None
         if first_means is None or first_means.samples < LEAST_SEGMENT * recording.samples:
             continue
         segment = SegmentStatistics.of(known, first_means, tau0)
         if segment is not None:
-            by_axis = {a: segment.axis(a) for a in axes}
-            noise = {a: one for a, one in by_axis.items() if one is not None}
+            axis_segments = {a: segment.axis(a) for a in axes}
+            noise = {a: one for a, one in axis_segments.items() if one is not None}
             if noise:
                 sensors[i] = _Sensor(segment, noise)
     best_times = [one.best_time() for one in sensors.values()]
@@ -411,14 +415,14 @@ class BiasSteps(NamedTuple):
     """Steps of the bias of one axis, and the fit of the noise with these steps."""
 
     # index of the last block mean before each step, in the order in which the steps were found
-    at: list[int]
+    indices: list[int]
     effects: FittedEffects
-    before: Fit  # fit of the noise without steps
+    fit_without_steps: Fit
 
     @property
     def excess(self) -> float:
         """Gain of all steps minus the least gain for this number of steps."""
-        return self.effects.gain - GAIN_STEPS - GAIN_MORE_STEPS * (len(self.at) - 1)
+        return self.effects.gain - GAIN_STEPS - GAIN_MORE_STEPS * (len(self.indices) - 1)
 
 
 def bias_steps(segment: SegmentStatistics, axis: int) -> BiasSteps | None:
@@ -466,11 +470,11 @@ def step_findings(sums: AllanSums, known: Statistics, without: set[int]) -> list
         steps = None if i in without else bias_steps(segment, i)
         if steps is None:
             continue
-        walk_before, walk_after = steps.before.p[K], steps.effects.fit.p[K]
+        walk_before, walk_after = steps.fit_without_steps.p[K], steps.effects.fit.p[K]
         if walk_after < STEPS_RATIO * walk_before:
             share = 1.0 - math.sqrt(walk_after / walk_before)
             size = float(np.abs(steps.effects.sizes).max())
-            times = [begin + (at + 1) * longest.step * tau0 for at in sorted(steps.at)]
+            times = [begin + (i + 1) * longest.step * tau0 for i in sorted(steps.indices)]
             times_text = ', '.join(map(duration_text, times))
             findings.append(finding('bias_steps', (axis,), size=size, share=share, at=times_text))
     return findings

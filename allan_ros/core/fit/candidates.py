@@ -33,7 +33,7 @@ sinusoid has the same uncertainty in cycles per sample."""
 
 LEAST_OWN = 1e-5
 """Least share of the information of a candidate that the components of the fit do not contain. With
-a smaller share, the candidate cannot be told from these components."""
+a smaller share, the candidate cannot be distinguished from these components."""
 
 
 class Moments(NamedTuple):
@@ -86,11 +86,13 @@ class LowBandFit:
     @classmethod
     def all_of(cls, data: AxisData, fit: Fit) -> list[LowBandFit]:
         """Return the matrices for each group of segments of an axis."""
-        out = []
+        matrices = []
         for group, d in zip(data.low, fit.columns.low):
             v = np.asarray(np.linalg.inv(np.tensordot(fit.p, d, 1)), np.float64)
-            out.append(cls(group.segments, v, v @ group.gram @ v - group.segments * v, v @ d @ v))
-        return out
+            matrices.append(
+                cls(group.segments, v, v @ group.gram @ v - group.segments * v, v @ d @ v)
+            )
+        return matrices
 
     def dense(self, covariances: Floats) -> Moments:
         """Return the moments of candidates from their covariances.
@@ -143,9 +145,9 @@ class Kind:
 
     @cached_property
     def number(self) -> Floats:
-        """First number of the shape of each candidate, (candidates,).
+        """First shape parameter of each candidate, (candidates,).
 
-        It is a correlation time in samples, or a frequency in cycles per sample.
+        This parameter is a correlation time in samples, or a frequency in cycles per sample.
         """
         return np.array([each.shape[0] for each in self.processes])
 
@@ -187,12 +189,12 @@ class Kind:
         """
         f, step = self.number[self.slow], self.statistics.step
         gain = np.sin(np.pi * step * f) / (step * np.sin(np.pi * f)) / math.sqrt(2.0)
-        out = []
+        contrasts_of_groups = []
         for g in self.statistics.groups:
             turns = 2.0 * np.pi * step * f[:, None] * np.arange(g.size.points)
             wave_means = np.stack([np.cos(turns), np.sin(turns)], axis=1) * gain[:, None, None]
-            out.append(wave_means @ contrasts(g.size)[:, g.size.lines :])
-        return out
+            contrasts_of_groups.append(wave_means @ contrasts(g.size)[:, g.size.lines :])
+        return contrasts_of_groups
 
     def gains(self, data: AxisData, fit: Fit, low: Sequence[LowBandFit]) -> Floats:
         """Return the approximate gain in -2 log L of each candidate, (candidates,).
@@ -246,7 +248,7 @@ class Candidates:
 
     @cached_property
     def search(self) -> Search:
-        """Range of the shapes that the data can tell apart."""
+        """Range of the shapes that the data can distinguish."""
         statistics = self.statistics
         block = np.array([octave(o).length for o in statistics.octave.tolist()], float)
         return Search(
@@ -268,8 +270,8 @@ class Candidates:
         """Return the largest power in each bin, (bins,), of the alias of a sinusoid of amplitude 1.
 
         ``frequency`` is the frequency of the sinusoid in cycles per sample. Only octave spectra of
-        means have aliases. The power is 0 in spectra of samples, and in bins far from the frequency
-        of the alias.
+        means have aliases. The power is 0 in spectra of samples, in bins far from the frequency of
+        the alias, and in bins from half of ``frequency`` on.
         """
         statistics = self.statistics
         size = np.array([octave(o).length for o in statistics.octave.tolist()])

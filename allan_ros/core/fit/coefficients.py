@@ -49,8 +49,8 @@ class Errors(NamedTuple):
     # covariance of the coefficients, which includes the uncertainty of the shapes; 0 for
     # coefficients that are held at 0
     covariance: Floats
-    # for each fitted number of a shape: coefficient times standard error of the number's logarithm
-    of_shapes: Mapping[Shape, float]
+    # for each fitted shape parameter: coefficient times standard error of the parameter's logarithm
+    shape_errors: Mapping[Shape, float]
 
     @classmethod
     def of(cls, data: AxisData, fit: Fit, known: Sequence[Process]) -> Errors:
@@ -195,16 +195,17 @@ def _shaped(fit: Fit) -> list[int]:
     return sorted(shaped, key=lambda k: (processes[k].name, processes[k].shape))
 
 
-def _part(fit: Fit, at: int, errors: Errors, scale: float, tau0: float) -> Part:
-    """Return the process with the index ``at`` in a fit as a part of a model in SI.
+def _part(fit: Fit, index: int, errors: Errors, scale: float, tau0: float) -> Part:
+    """Return one process of a fit as a part of a model in SI.
 
-    ``scale`` is the unit of the variances of the fit, in the squared unit of the samples.
+    ``index`` is the index of the process in the fit. ``scale`` is the unit of the variances of the
+    fit, in the squared unit of the samples.
     """
-    variance, process = float(fit.p[at]), fit.components[at]
+    variance, process = float(fit.p[index]), fit.components[index]
     value, in_si = process.coefficient_of(variance * scale, tau0), process.in_unit(1.0 / tau0)
-    relative_error = math.sqrt(max(float(errors.covariance[at, at]), 0.0)) / variance
+    relative_error = math.sqrt(max(float(errors.covariance[index, index]), 0.0)) / variance
     shape_intervals = (
-        _around(number, errors.of_shapes.get(Shape(at, parameter), 0.0) / variance)
+        _around(number, errors.shape_errors.get(Shape(index, parameter), 0.0) / variance)
         for parameter, number in zip(in_si.parameters, in_si.shape)
     )
     return Part(in_si, value, _around(value, relative_error / 2.0), tuple(shape_intervals))

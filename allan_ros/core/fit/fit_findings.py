@@ -40,7 +40,7 @@ SLOWEST_VIBRATION = 0.5
 """Lowest frequency in Hz of a sinusoid that a finding reports as vibration. Buildings and tables
 have resonances above this frequency."""
 
-FASTEST_VIBRATION = 400.0
+RATE_WITHOUT_ALIASES = 400.0
 """Lowest sample rate in Hz at which vibration of rotors and engines has no aliases."""
 
 ALIAS_FROM = 0.02
@@ -155,7 +155,7 @@ def line_finding(name: tuple[str], lines: Sequence[Part], tau0: float) -> Findin
     rate = 1.0 / tau0
     alias = rate - frequency
     is_distinct = f'{alias:.3g}' != f'{frequency:.3g}'
-    has_alias = rate < FASTEST_VIBRATION and frequency > ALIAS_FROM * rate and is_distinct
+    has_alias = rate < RATE_WITHOUT_ALIASES and frequency > ALIAS_FROM * rate and is_distinct
     return finding(
         'vibration',
         name,
@@ -228,7 +228,7 @@ def is_disturbed(fit: AxisFit, tau0: float, seconds: float) -> bool:
 
 
 def _is_obscured(fit: AxisFit, tau0: float, seconds: float) -> bool:
-    """Return whether N is known much less precisely than it would be if all noise was white.
+    """Return whether N is known much less precisely than it would be if all noise were white.
 
     Pure white noise with the bandwidth W determines N in the time T with a relative standard error
     of 1 / sqrt(4 W T). If quantization noise (Q) is resolved, N need not be resolved.
@@ -295,10 +295,11 @@ def recommended_duration(
 ) -> tuple[float, tuple[str, ...]] | None:
     """Return the recommended length of a recording, or None if a longer recording is not useful.
 
-    If N is not resolved, `SECONDS_FOR_N` is recommended. Otherwise, a longer recording is
-    recommended if B or K is not resolved and the upper limit of this term is relevant. An upper
-    limit is relevant if it exceeds the limit of the datasheet. Without a datasheet, it is relevant
-    if the term could contribute a quarter of the Allan variance of the resolved terms at 100 s.
+    If a segment shorter than `SECONDS_FOR_N` does not resolve N, `SECONDS_FOR_N` is recommended. If
+    N is resolved, a longer recording is recommended if B or K is not resolved and the upper limit
+    of this term is relevant or unknown. An upper limit is relevant if it exceeds the limit of the
+    datasheet. Without a datasheet, it is relevant if the term could contribute more than a quarter
+    of the Allan variance of the resolved terms at 100 s.
 
     The length is computed from N, and from B and K if they are resolved. The uncertain estimate of
     the unresolved term is not used, so that the advice is stable during a recording.

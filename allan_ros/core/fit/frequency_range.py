@@ -29,7 +29,8 @@ from .statistics import LowPassCurvature
 
 LACK_OF_FIT = 1e-3
 """Probability in a chi-squared test of the deviance of an octave, or of all octaves, below which a
-model is rejected: false alarms on 0.1 % of the axes. Measured: 0.1 % of 2100 axes."""
+model is rejected. The expected rate of false alarms is 0.1 % of the axes; 0.1 % of 2100 axes were
+rejected."""
 
 CURVATURE = 2.5
 """A low-pass filter is assumed if the next power of f in the spectrum exceeds this number of its
@@ -151,7 +152,7 @@ class SelectedModel(NamedTuple):
 class _TestResults(NamedTuple):
     """Results of the tests of a model."""
 
-    fits: bool  # whether no octave differs from the model
+    fits: bool  # whether neither one octave nor all octaves together differ from the model
     looks_filtered: bool  # whether the spectrum bends like the spectrum of a low-pass filter
 
     # whether the white noise is not resolved, or processes of the model may imitate a filter
@@ -198,8 +199,10 @@ def estimate(
     at = len(RANDOM_TERMS)
     others = (*found.fit.components[:at], *found.fit.components[at + 1 :])
     signed = tuple(i - (i > at) for i in found.fit.signed)
-    without = found.rules.data.solve(others, None, np.delete(found.fit.p, at), signed=signed)
-    if without.value - found.fit.value > GAIN_RESOLVED:
+    fit_without_process = found.rules.data.solve(
+        others, None, np.delete(found.fit.p, at), signed=signed
+    )
+    if fit_without_process.value - found.fit.value > GAIN_RESOLVED:
         return found
     return _estimate(Selection(data, candidates, base))
 
@@ -358,7 +361,7 @@ def _trial(rules: Selection, top: float) -> _Trial:
     """Select a model for the frequencies below ``top``, and test this model."""
     f = rules.data.statistics.f
     rules = replace(rules, data=replace(rules.data, used=f < top), fastest=top)
-    if top < 0.5:  # q describes the filter; no process must be fast enough to imitate it
+    if top < 0.5:  # q describes the filter; no process may be fast enough to imitate the filter
         base = (RANDOM_TERMS[Q], *rules.base[Q + 1 :])
         rules = replace(rules, base=base, signed=(Q,), shortest=8.0 / top, fastest=top / 2.0)
     rules, fit = rules.selected()

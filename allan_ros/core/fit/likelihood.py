@@ -42,7 +42,7 @@ regular even if the data cannot tell two coefficients apart."""
 class Shape(NamedTuple):
     """One shape parameter of a component, such as its correlation time."""
 
-    at: int  # index of the component
+    component: int  # index of the component
     parameter: Parameter
 
 
@@ -108,9 +108,9 @@ class Fit:
 
 def flags(size: int, chosen: Iterable[int]) -> Flags:
     """Return a boolean array, (size,), that is True at the chosen indices."""
-    out = np.zeros(size, bool)
-    out[list(chosen)] = True
-    return out
+    is_chosen = np.zeros(size, bool)
+    is_chosen[list(chosen)] = True
+    return is_chosen
 
 
 def inverse(information: Floats) -> Floats:
@@ -185,8 +185,8 @@ class AxisData:
     def columns(self, components: Sequence[Process], tangents: Sequence[Shape] = ()) -> Columns:
         """Return the expected statistics of components, and then their derivatives.
 
-        There is one derivative for each number of a shape in ``tangents``, with respect to the
-        logarithm of this number.
+        There is one derivative for each shape parameter in ``tangents``, with respect to the
+        logarithm of this parameter.
         """
         columns = [self.statistics.column(each, self.axis) for each in components]
         power = [each.power for each in columns]
@@ -253,9 +253,9 @@ class AxisData:
             ratios = self.power[self.used][:, None] / np.maximum(columns.power, 1e-300)
             upper_bounds = ratios.min(axis=0)
         for _, parts in groupby(zip(self.low, columns.low), lambda part: part[0].points):
-            of_length = list(parts)
-            measured = sum(float(np.trace(low.gram)) / low.segments for low, _ in of_length)
-            expected = sum(np.trace(d, axis1=1, axis2=2) for _, d in of_length)
+            bands_of_length = list(parts)
+            measured = sum(float(np.trace(low.gram)) / low.segments for low, _ in bands_of_length)
+            expected = sum(np.trace(d, axis1=1, axis2=2) for _, d in bands_of_length)
             upper_bounds = np.minimum(upper_bounds, measured / np.maximum(expected, 1e-300))
         return np.asarray(np.maximum(upper_bounds, 1e-12) / len(upper_bounds))
 
@@ -322,8 +322,8 @@ class AxisData:
         return Fit(tuple(components), p, state[0], columns, signed, state[1], state[2])
 
 
-def _step(information: Floats, moment: Floats, sign: Flags) -> Floats:
-    """Return the p that minimizes p'Ip - 2m'p, with p >= 0 except where ``sign`` is True.
+def _step(information: Floats, moment: Floats, may_be_negative: Flags) -> Floats:
+    """Return the p that minimizes p'Ip - 2m'p, with p >= 0 where ``may_be_negative`` is False.
 
     I is ``information``, and m is ``moment``.
     """
@@ -332,9 +332,9 @@ def _step(information: Floats, moment: Floats, sign: Flags) -> Floats:
     d = np.sqrt(np.maximum(np.diag(information), 1e-300))
     root = np.linalg.cholesky(information / np.outer(d, d) + RIDGE * np.eye(len(d)))
     unconstrained = lapack.dpotrs(root, moment / d, lower=1)[0]
-    if np.all((unconstrained >= 0.0) | sign):
+    if np.all((unconstrained >= 0.0) | may_be_negative):
         return np.asarray(unconstrained / d)
-    return nonnegative_least_squares(root.T, np.linalg.solve(root, moment / d), sign) / d
+    return nonnegative_least_squares(root.T, np.linalg.solve(root, moment / d), may_be_negative) / d
 
 
 class Interval(NamedTuple):
@@ -402,40 +402,40 @@ def profile_interval(
     z = math.sqrt(LEVEL_95)
     if i in fit.signed:
         return Interval(estimate - z * widening * error, estimate + z * widening * error, 0.0)
-    at_zero = distance(0.0) if estimate < 20.0 * error else 20.0
+    distance_at_zero = distance(0.0) if estimate < 20.0 * error else 20.0
     low = 0.0
-    if at_zero > z:
+    if distance_at_zero > z:
         least = max(estimate - 4.0 * error, 0.0)
-        low = _crossing(distance, z, estimate, least, at_zero if least == 0.0 else 4.0)
+        low = _crossing(distance, z, estimate, least, distance_at_zero if least == 0.0 else 4.0)
     high = estimate + 2.0 * error
-    at_high = distance(high)
-    while at_high < z and high < 1e12:
+    distance_at_high = distance(high)
+    while distance_at_high < z and high < 1e12:
         high = estimate + 2.0 * (high - estimate)
-        at_high = distance(high)
-    high = _crossing(distance, z, estimate, high, at_high)
+        distance_at_high = distance(high)
+    high = _crossing(distance, z, estimate, high, distance_at_high)
     return Interval(
         max(estimate - widening * (estimate - low), 0.0),
         estimate + widening * (high - estimate),
-        (at_zero / widening) ** 2,
+        (distance_at_zero / widening) ** 2,
     )
 
 
-def _crossing(distance, z: float, inside: float, outside: float, at_outside: float) -> float:  # type: ignore[no-untyped-def]
-    """Return the value between ``inside`` and ``outside`` at which ``distance`` is z.
+def _crossing(distance, z: float, inner: float, outer: float, outer_distance: float) -> float:  # type: ignore[no-untyped-def]
+    """Return the value between ``inner`` and ``outer`` at which ``distance`` is z.
 
-    ``distance`` is 0 at ``inside``, and ``at_outside`` at ``outside``.
+    ``distance`` is 0 at ``inner``, and ``outer_distance`` at ``outer``.
     """
-    at_inside, value = 0.0, outside
+    inner_distance, value = 0.0, outer
     for _ in range(10):
-        share = (z - at_inside) / max(at_outside - at_inside, 1e-9)
-        value = inside + (outside - inside) * min(max(share, 0.05), 0.95)
+        share = (z - inner_distance) / max(outer_distance - inner_distance, 1e-9)
+        value = inner + (outer - inner) * min(max(share, 0.05), 0.95)
         reached = distance(value)
         if abs(reached - z) < 0.02:
             break
         if reached < z:
-            inside, at_inside = value, reached
+            inner, inner_distance = value, reached
         else:
-            outside, at_outside = value, reached
+            outer, outer_distance = value, reached
     return value
 
 

@@ -123,7 +123,10 @@ class PeriodLevels:
         return _tail(statistic, int(is_known.sum()) - 1, spread, len(power)) < LEVEL_CHANGES
 
     def extremes(self, axis: int) -> tuple[float, float]:
-        """Return the lowest and the highest N in parts of the data, divided by N of all data."""
+        """Return the lowest and the highest N in parts of the data, divided by N of all data.
+
+        The first result is at most 1, the second at least 1. Both are 1 if a level is unknown.
+        """
         part_index = np.floor(np.cumsum(self.samples) / (PART * self.samples.sum()) - 1e-9)
         rows = (
             slice(*np.flatnonzero(part_index == i)[[0, -1]] + [0, 1]) for i in np.unique(part_index)
@@ -175,9 +178,9 @@ class PeriodLevels:
         """
         share_until_end = np.cumsum(self.samples) / self.samples.sum()
         bounds, dof_of_part = [0], 0.0
-        for k, (done, dof) in enumerate(zip(share_until_end.tolist(), self.dof[:, axis].tolist())):
+        for k, (share, dof) in enumerate(zip(share_until_end.tolist(), self.dof[:, axis].tolist())):
             dof_of_part += dof
-            if done > len(bounds) / parts - 1e-9 and dof_of_part >= LEAST_DOF:
+            if share > len(bounds) / parts - 1e-9 and dof_of_part >= LEAST_DOF:
                 bounds.append(k + 1)
                 dof_of_part = 0.0
         dof = np.add.reduceat(self.dof[:, axis], bounds[:-1]) if len(bounds) > 1 else np.zeros(0)
@@ -185,7 +188,10 @@ class PeriodLevels:
         return np.add.reduceat(total, bounds[:-1]) / dof if len(bounds) > 1 else dof, dof
 
     def _is_mixed(self, axis: int, at: int, spread: float) -> bool:
-        """Return whether the level of a period differs from the mean level of all later periods."""
+        """Return whether the level of a period differs significantly from the mean later level.
+
+        ``at`` is the index of the period. ``spread`` is the result of `spread`.
+        """
         dof, power = self.dof[:, axis], self.power[:, axis]
         later_dof = dof[at + 1 :].sum()
         if not (dof[at] > 0.0 and later_dof > 0.0 and power[at] > 0.0):
@@ -254,8 +260,8 @@ def period_spectra(sums: AllanSums) -> PeriodSpectra:
     power = np.zeros((len(periods), len(whole.f), len(sums.axes)))
     dof = np.zeros((len(periods), len(whole.f)))
     for k, (r, p) in enumerate(periods):
-        one = pooled_spectra(replace(sums, recordings=(replace(r, periods=(p,)),)))
-        power[k, : len(one.f)], dof[k, : len(one.f)] = one.power, one.shared_dof
+        pooled = pooled_spectra(replace(sums, recordings=(replace(r, periods=(p,)),)))
+        power[k, : len(pooled.f)], dof[k, : len(pooled.f)] = pooled.power, pooled.shared_dof
     return PeriodSpectra(whole, power, dof, np.array([p.samples for _, p in periods]))
 
 
@@ -277,8 +283,8 @@ def present_part(sums: AllanSums, levels: PeriodLevels) -> tuple[int, tuple[int,
 
     Both results are indices. An axis has changed if N of the axis changed by more than
     `LEAST_CHANGE` at the start of this period. The result is None if no level has changed
-    significantly by more than this, or if the present level has not lasted for the time
-    `LEAST_LAST_S` and the share `LEAST_LAST_PART` of the data.
+    significantly by more than this, or if the present level has lasted for less than the time
+    `LEAST_LAST_S`, or less than the share `LEAST_LAST_PART` of the data.
     """
     total = levels.samples.sum()
     least_samples = max(LEAST_LAST_S / (sums.tau0 or 1.0), LEAST_LAST_PART * total)
@@ -316,7 +322,8 @@ def total_and_drift(
 ) -> tuple[Floats, Floats]:
     """Return an expected statistic of the model of an axis, and the part that is due to drift.
 
-    Drift is all noise whose integral grows with time, except white noise.
+    Drift is all noise whose integral grows with time, except white noise. A ramp and a low-pass
+    filter are no noise, and are ignored.
 
     Parameters
     ----------
@@ -335,10 +342,10 @@ def total_and_drift(
         process = part.process.in_unit(tau0)
         if process.is_regressor:
             continue
-        of_part = part.process.variance_of(part.value, tau0) * expected(process)
-        total += of_part
+        part_statistic = part.process.variance_of(part.value, tau0) * expected(process)
+        total += part_statistic
         if part.process.is_drift and not process.is_white:
-            drift += of_part
+            drift += part_statistic
     return total, drift
 
 
@@ -369,7 +376,7 @@ def spectrum_levels(
 def innovation_levels(
     sums: AllanSums, fits: Sequence[AxisFit], settlings: Mapping[int, float]
 ) -> PeriodLevels:
-    """Return the level of the drift in each block mean except the first of each segment.
+    """Return the level of the drift in each block mean except the first mean of each segment.
 
     The level of a block mean is the square of its innovation, with one degree of freedom. Both are
     0 for an axis whose model has no drift, or whose drift has a mean share below `LEAST_SHARE` in
@@ -396,18 +403,18 @@ def innovation_levels(
         if not segments or not fit.model.has_drift:
             continue
         try:
-            number_of_longest = max(len(m.values) for m in segments) - 1
-            whitening, drift_share = _prediction(fit, sums.tau0 or 1.0, step, number_of_longest)
+            most_differences = max(len(m.values) for m in segments) - 1
+            whitening, drift_share = _prediction(fit, sums.tau0 or 1.0, step, most_differences)
         except np.linalg.LinAlgError:  # nearly all power is at the frequencies of sinusoids
             continue
         share[i] = drift_share.mean()
         if share[i] < LEAST_SHARE:
             continue
-        each = [
+        innovations = [
             _innovations(whitening, np.diff(m.values[:, i]), _effects(m, settlings.get(i, 0.0)))
             for m in segments
         ]
-        power[:, i], dof[:, i] = np.concatenate(each) ** 2, 1.0
+        power[:, i], dof[:, i] = np.concatenate(innovations) ** 2, 1.0
     return PeriodLevels(power, dof, np.full(number, step), share)
 
 

@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Result of a fit: terms with intervals, model and its curve, and bias over temperature of an axis.
 
-The Allan deviation of the model is compared with the measured curve. Cong et al. 2019 also state
-the dominant term in each range of averaging times.
+For the curve, this module computes the largest deviation from the model, and the dominant term in
+each range of averaging times (as in Cong et al. 2019).
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ Q, N, B, K = range(4)
 """Indices of `RANDOM_TERMS` in all arrays of variance coefficients (q, w, b, k)."""
 
 TERMS = ('Q', 'N', 'B', 'K', 'R')
-"""Quantization, angle/velocity random walk, bias instability, rate random walk, rate ramp."""
+"""Quantization, angle or velocity random walk, bias instability, rate random walk, rate ramp."""
 
 
 class Deviation(NamedTuple):
@@ -116,8 +116,8 @@ class AxisFit:
     def model_at_limits(self) -> Model:
         """The model with every unresolved term at its 95 % upper limit.
 
-        A term without a finite limit is unchanged, and so is the magnitude of a term that exceeds
-        its limit.
+        A term without a finite limit is unchanged. A term that exceeds its limit keeps its
+        magnitude.
         """
         limits = {
             term: max(c.upper95, abs(self.model.value(term)))
@@ -127,7 +127,7 @@ class AxisFit:
         return self.model.changed(**limits)
 
     def limit(self, term: str) -> float:
-        """Return the 95 % upper limit of a term, or 0 if this limit is unknown or infinite."""
+        """Return the 95 % upper limit of a term, or 0 if the limit is unknown or infinite."""
         value = self.noise[term].upper95
         return value if value is not None and math.isfinite(value) else 0.0
 

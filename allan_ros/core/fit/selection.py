@@ -35,9 +35,9 @@ LEAST_BINS = 8
 at least this number of bins."""
 
 LEAST_LINE_DOF = 100.0
-"""Degrees of freedom of a bin in which a sinusoid dominates. With fewer degrees of freedom, the
-amplitude would be inaccurate. With all degrees of freedom of the bin, the fit would require a
-strong sinusoid to be as narrow as in the model."""
+"""Number to which the degrees of freedom of a bin are reduced if a sinusoid dominates in the bin.
+With fewer degrees of freedom, the amplitude would be inaccurate. With all degrees of freedom of the
+bin, the fit would require a strong sinusoid to be as narrow as in the model."""
 
 LINES_PER_OCTAVE = 3
 """Number of sinusoids within an octave that can imitate any smooth spectrum. None of 2100 simulated
@@ -98,7 +98,7 @@ class Selection:
 
     @cached_property
     def search(self) -> Search:
-        """Range of shapes that the used data can tell apart."""
+        """Range of shapes that the used data can distinguish."""
         return replace(self.candidates.search, shortest=self.shortest)
 
     def fit(self, components: Sequence[Process], p: Floats | None = None) -> Fit:
@@ -129,18 +129,18 @@ class Selection:
     def _with_one_more(self, fit: Fit) -> Fit | None:
         """Return the fit with the best further process, or None if no gain exceeds a threshold."""
         matrices, is_aliased = LowBandFit.all_of(self.data, fit), self._aliased(fit)
-        added: list[Fit] = []
+        larger_fits: list[Fit] = []
         for kind in self.candidates.kinds:
             gains = kind.gains(self.data, fit, matrices) * kind.allowed(self.shortest, self.fastest)
             if is_aliased and kind.first.is_line:
                 gains[kind.slow] = 0.0
             if gains.max() < PROMISING * self.threshold(kind.first):
                 continue
-            seed = 1e-3 * float(np.diag(fit.information) @ fit.p) / max(len(self.data.power), 1)
+            start = 1e-3 * float(np.diag(fit.information) @ fit.p) / max(len(self.data.power), 1)
             process = kind.processes[int(gains.argmax())]
-            added.append(self.fit((*fit.components, process), np.append(fit.p, seed)))
+            larger_fits.append(self.fit((*fit.components, process), np.append(fit.p, start)))
         best, best_value = None, math.inf
-        for new in sorted(added, key=self._penalized):
+        for new in sorted(larger_fits, key=self._penalized):
             gain, threshold = fit.value - new.value, self.threshold(new.components[-1])
             if fit.value - gain / PROMISING + threshold > best_value:
                 continue
@@ -179,7 +179,7 @@ class Selection:
         return best
 
     def _with_limits(self, fit: Fit) -> Fit:
-        """Return the fit in which processes at a limit of their shape are replaced by simpler ones.
+        """Return the fit in which simpler processes replace processes at a limit of their shape.
 
         A resonance that is too narrow for the spectra becomes a sinusoid.
         """
@@ -232,7 +232,7 @@ class Selection:
             )
             if not fit.value - full_fit.value > TOLERANCE:
                 break
-            before = fit.value
+            value_before = fit.value
             for size in (1.0, 0.3, 0.1):
                 components = list(fit.components)
                 for (k, parameter), slope in zip(shapes, full_fit.p[n:]):
@@ -243,14 +243,14 @@ class Selection:
                 if new.value < fit.value:
                     fit = new
                     break
-            if before - fit.value < TOLERANCE:
+            if value_before - fit.value < TOLERANCE:
                 break
         return fit
 
     def _moved(self, process: Process, parameter: Parameter, step: float) -> Process:
-        """Return a process with one number of its shape multiplied by exp(``step``).
+        """Return a process with one shape parameter multiplied by exp(``step``).
 
-        The step and the number are kept within the limits of a search.
+        The step and the parameter are kept within the limits of a search.
         """
         low, high = process.bounds(parameter, self.search)
         most = parameter.largest_step
@@ -262,7 +262,8 @@ class Selection:
 
         In means over M samples, a sinusoid of the frequency f keeps up to 1/(M sin(pi f)) of its
         amplitude. The frequency of the alias depends on more digits of f than the spectra
-        determine. A slow sinusoid or a bounded random walk therefore cannot be told from the alias.
+        determine. A slow sinusoid or a bounded random walk therefore cannot be distinguished from
+        the alias.
         """
         step = self.data.statistics.step
         aliases = (p * c.alias_variance(step) for p, c in zip(fit.p, fit.components))
@@ -277,10 +278,10 @@ class Selection:
         """
         frequencies = (c.shape[0] for c in fit.components if c.is_line)
         octaves = np.log2(sorted(each for each in frequencies if each > self.fastest / 64.0))
-        others = LINES_PER_OCTAVE - 1
+        further_lines = LINES_PER_OCTAVE - 1
         has_bent_spectrum = self.signed or any(c.bends_spectrum for c in fit.components)
         has_broad = has_bent_spectrum and any(c.is_broad_near(self.fastest) for c in fit.components)
-        return bool(has_broad or np.any(octaves[others:] - octaves[:-others] < 1.0))
+        return bool(has_broad or np.any(octaves[further_lines:] - octaves[:-further_lines] < 1.0))
 
     def bounded(self, fit: Fit) -> Fit:
         """Return the fit in which processes with a shape replace terms, if the data show the shape.
@@ -292,24 +293,24 @@ class Selection:
             fit = self._replaced(fit, RANDOM_TERMS.index(term()), kind)
         return fit
 
-    def _replaced(self, fit: Fit, at: int, kind: type[Process]) -> Fit:
+    def _replaced(self, fit: Fit, index: int, kind: type[Process]) -> Fit:
         """Return the fit with a process of a given kind instead of a term, if this fit is better.
 
-        ``at`` is the index of the term. If no such process is better, ``fit`` is returned.
+        ``index`` is the index of the term. If no such process is better, ``fit`` is returned.
         """
-        if fit.p[at] <= 0.0 or self._aliased(fit):
+        if fit.p[index] <= 0.0 or self._aliased(fit):
             return fit
         best = new = fit
         threshold = kind.threshold(max(len(self.data.power), LEAST_BINS))
         for process in kind.grid(self.search):
-            components = (*fit.components[:at], process, *fit.components[at + 1 :])
+            components = (*fit.components[:index], process, *fit.components[index + 1 :])
             new = self.fit(components, new.p)
             if new.value > best.value + threshold:
                 break
             best = min(best, new, key=lambda each: each.value)
         if fit.value - best.value < PROMISING * threshold:
             return fit
-        best = self.refined(best, [at])
+        best = self.refined(best, [index])
         return best if fit.value - best.value > threshold else fit
 
     def weighed(self, fit: Fit) -> tuple[Selection, Fit]:

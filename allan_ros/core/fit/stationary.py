@@ -100,15 +100,17 @@ def fit_stationary(
     if data is not sums:
         spectra = period_spectra(data)
     known = statistics(data)
-    of_axis = [known] * len(data.axes)
+    axis_statistics = [known] * len(data.axes)
     settlings = []
     for indices in axes_of_sensors(data.axes).values():
         sensor_settling = settling(data, known, indices)
         if sensor_settling is not None:
             settlings.append(sensor_settling)
             settled = statistics(data, sensor_settling.settling)
-            of_axis = [settled if i in indices else each for i, each in enumerate(of_axis)]
-    model = fit_likelihood(data, of_axis)
+            axis_statistics = [
+                settled if i in indices else each for i, each in enumerate(axis_statistics)
+            ]
+    model = fit_likelihood(data, axis_statistics)
     findings = settling_findings(data, settlings)
     if present is not None:
         first_period, changed_axes = present
@@ -126,7 +128,7 @@ def fit_stationary(
     findings = [*level_findings(data, levels, model), *findings, *model.findings]
     fits = list(model.axes.values())
     drifts = (
-        spectrum_levels(spectra, of_axis, fits, model.tau0),
+        spectrum_levels(spectra, axis_statistics, fits, model.tau0),
         innovation_levels(data, fits, settling_times),
     )
     return data, replace(
@@ -134,12 +136,12 @@ def fit_stationary(
     )
 
 
-def _from_period(sums: AllanSums, at: int) -> AllanSums:
-    """Return the sums without the first ``at`` periods, counted over all recordings."""
+def _from_period(sums: AllanSums, omitted: int) -> AllanSums:
+    """Return the sums without the first ``omitted`` periods, counted over all recordings."""
     parts = []
     for recording in sums.recordings:
-        first = min(at, len(recording.periods))
-        at -= first
+        first = min(omitted, len(recording.periods))
+        omitted -= first
         if first < len(recording.periods):
             parts.append(part(replace(sums, recordings=(recording,)), first=first))
     return sum(parts[1:], start=parts[0])
@@ -151,8 +153,8 @@ def _from_period(sums: AllanSums, at: int) -> AllanSums:
 def fit_likelihood(sums: AllanSums, of_axes: Sequence[Statistics] = ()) -> NoiseModel:
     """Estimate the noise of every axis by maximum likelihood.
 
-    ``of_axes`` are the statistics of the sums for each axis, if they are already computed. From
-    these statistics, the settling of a sensor must already be subtracted.
+    ``of_axes`` are the statistics of the sums for each axis, if they are already computed. They
+    must take the settling of a sensor into account (see `statistics`).
 
     Too few data raise no error: a term that the data do not determine has no value and no limit,
     and a finding reports the axis. An axis whose spectra are not finite has no values and no
@@ -249,15 +251,15 @@ def rounding_errors(sums: AllanSums, axis: int, data: AxisData) -> Process | Non
 
 
 def _level_finding(
-    model: NoiseModel, axis: str, levels: PeriodLevels, i: int, at: int, since: float
+    model: NoiseModel, axis: str, levels: PeriodLevels, i: int, at: int, seconds: float
 ) -> Finding:
     """Return the finding that the white noise of axis ``i`` changed at the period ``at``.
 
-    ``since`` is the time since the change in s.
+    ``seconds`` is the time since the change in s.
     """
     n = model.axes[axis].noise['N'].value or 0.0
     ratio = math.sqrt(levels.usual(i, at) / levels.mean(i, slice(at, None)))
-    return finding('level_changed', (axis,), before=n * ratio, value=n, since=since)
+    return finding('level_changed', (axis,), before=n * ratio, value=n, since=seconds)
 
 
 def level_findings(sums: AllanSums, levels: PeriodLevels, model: NoiseModel) -> list[Finding]:

@@ -82,8 +82,8 @@ Sizes = tuple[Size, ...]
 """Sizes of the contrasts of all groups of segments."""
 
 LOWEST_BLOCKS = 2
-"""Least length of the longest segment, in spectral blocks of the lowest octave, so that at least
-three overlapping blocks are averaged."""
+"""Least length of the longest segment, in spectral blocks of the lowest octave. With this length,
+at least three overlapping blocks are averaged."""
 
 LEAST_POINTS = 4
 """Fewest block means of a segment from which contrasts are formed."""
@@ -173,7 +173,7 @@ def without_lines(low: Iterable[Floats], sizes: Sizes) -> list[Floats]:
     return [a[size.lines :, size.lines :] for a, size in zip(low, sizes)]
 
 
-@lru_cache(maxsize=48)  # sums have at most 16 groups of segments, or 36 groups of pieces
+@lru_cache(maxsize=48)  # without a settling, there are at most 16 groups, or 36 of pieces
 def _transformed(size: Size) -> Floats:
     """Return the Fourier transform of the contrasts, (rows, contrasts): real, then imaginary parts.
 
@@ -343,7 +343,7 @@ class Statistics:
         return expected_power(process, self.octaves)
 
     def column(self, process: Process, axis: int = 0) -> Column:
-        """Return the expectation of the statistics for a process with the coefficient 1."""
+        """Return the expected statistics of an axis for a process with the coefficient 1."""
         if process == LowPassCurvature():
             q = self.column(Quantization())
             return Column(q.power**2, [0.0 * low for low in q.low])
@@ -358,7 +358,7 @@ class Statistics:
 
 
 def mean_alias(process: Process, step: int) -> float:
-    """Return the variance of a white noise that replaces the alias of a fast sinusoid.
+    """Return the variance of white noise that replaces the alias of a fast sinusoid.
 
     The frequency of an alias in the means of ``step`` samples depends on more digits of the
     frequency of the sinusoid than are known. Instead of the alias, the expectation contains white

@@ -99,11 +99,11 @@ class _TemperatureBlocks(NamedTuple):
 def temperature_models(
     sums: AllanSums, time_ns: Ints, celsius: Floats, model: NoiseModel
 ) -> tuple[dict[str, TemperatureModel], list[Finding]]:
-    """Return axis -> model of its bias over temperature, and findings.
+    """Return axis -> model of the bias of the axis over temperature, and findings.
 
     There are no models if the temperature is known for too few block means, varies too little, or
-    varies in one direction only. If it varies in one direction only, a finding states this. An axis
-    has no model if it has no estimate of N, or if an interval of b0, b1 or b2 is unknown.
+    varies in one direction only; in the last case, a finding states the range of the temperature.
+    An axis has no model if it has no estimate of N, or if an interval of b0, b1 or b2 is unknown.
 
     Parameters
     ----------
@@ -289,9 +289,8 @@ class _Contrasts:
         """Return the sizes of effects, estimated by generalized least squares.
 
         Each column of ``effects``, (contrasts, effects), contains the contrasts of an effect of
-        size 1.
-        The covariance and its degrees of freedom take the errors of the fitted noise into account
-        (Kenward & Roger, Biometrics 53, 1997; Satterthwaite).
+        size 1. The covariance and its degrees of freedom take the errors of the fitted noise into
+        account (Kenward & Roger, Biometrics 53, 1997; Satterthwaite).
         """
         covariances = self.covariances
         precision = np.linalg.inv(np.tensordot(fit.p, covariances, 1))
@@ -359,7 +358,7 @@ def _model(
     )
     if not np.isfinite([level_half_width, *effect_half_widths[:2]]).all():
         return None
-    drift, left_drift = (
+    drift, remaining_drift = (
         sum(float(np.sum((x[p] - x[p].mean()) ** 2)) for p in blocks.parts) / len(y) - white
         for x in (y, y - effects[:, :2] @ values[:2])
     )
@@ -378,7 +377,7 @@ def _model(
         hysteresis_ci95=hysteresis_ci95,
         rate=float(np.abs(blocks.rate).mean()) / (blocks.step * tau0),
         resolved=bool(fdtrc(2.0, estimates.dof[:2].min(), test) < TEMPERATURE_RESOLVED),
-        explained=min(max(1.0 - left_drift / drift, 0.0), 1.0) if has_drift else None,
+        explained=min(max(1.0 - remaining_drift / drift, 0.0), 1.0) if has_drift else None,
         averaging_time=blocks.step * tau0,
         measured=_slow_noise(*contrasts.fitted(np.eye(len(columns))), tau0),
         corrected=_slow_noise(corrected_data, corrected_fit, tau0),
