@@ -83,7 +83,7 @@ class Fields:
     document : object
         The parsed JSON value; AllanError is raised if it is not an object.
     where : str
-        Name of the document, or position of the object in a document, for messages.
+        Name of the document, or position of the object in a document, for error messages.
     names : mapping of str to str
         Name of a dataclass field -> its key in the document, for fields whose name and key differ.
     """

@@ -81,8 +81,8 @@ EXPECTED: dict[Any, str] = {
     str: 'a text',
     LIST: 'a list',
 }
-"""Type of a setting -> name of this type in messages. The type of a setting is the first type in
-this dict of which the default of the setting is an instance."""
+"""Type of a setting -> name of this type in error messages. The type of a setting is the first
+type in this dict of which the default of the setting is an instance."""
 
 
 def expect(kind: Any, called: str = '', /, **values: object) -> None:
@@ -172,7 +172,7 @@ def check_range(low: float | None, high: float | None, unit: str = '', /, **valu
         Smallest and largest valid value; None for -`MAX_FLOAT` or `MAX_FLOAT`. NaN and infinity
         are never valid.
     unit : str
-        Unit of the limits, for the message.
+        Unit of the limits, for the error message.
     values : object
         Name -> value to check.
     """

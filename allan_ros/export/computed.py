@@ -164,7 +164,11 @@ def madgwick_rows(noise: FilterNoise) -> Iterator[Row]:
 
 
 def covariance_rows(noise: FilterNoise) -> Iterator[Row]:
-    """Yield the rows of the sample covariances: 3 x 3 matrices as in sensor_msgs/Imu."""
+    """Yield a row for each sensor with the covariance matrix of a sample, as in sensor_msgs/Imu.
+
+    The nine elements of the matrix are written row by row. The diagonal contains N^2 times the rate
+    of each axis.
+    """
     for name, sensor in (('angular_velocity', 'gyro'), ('linear_acceleration', 'accel')):
         path = (*ANY_NODE, f'{name}_covariance')
         row = noise.level_row(path, sensor, 'N', NOTATIONS['variance'])

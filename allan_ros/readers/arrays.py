@@ -186,7 +186,7 @@ def array_in(path: Path, name: str) -> NDArray[Any]:
 def _array(file: IO[bytes], where: str, kinds: str, limit: int) -> NDArray[Any]:
     """Return the array in an open file in numpy format.
 
-    ``where`` is the name of the array in messages. ``kinds`` are the accepted values of
+    ``where`` is the name of the array in error messages. ``kinds`` are the accepted values of
     ``dtype.kind``, such as 'fi'. ``limit`` is the largest accepted size of the array in bytes.
     """
     head = BytesIO(file.read(MAX_HEADER_BYTES))

@@ -137,9 +137,9 @@ class ColumnLayout:
         Parameters
         ----------
         where : object
-            Name of the table, for messages.
+            Name of the table, for error messages.
         names : sequence of str
-            Names of the columns, for messages.
+            Names of the columns, for error messages.
         with_times : bool
             Whether the times are known without a column.
         """
@@ -167,7 +167,7 @@ class ColumnLayout:
         Parameters
         ----------
         where : object
-            Name of the table in messages.
+            Name of the table in error messages.
         times : (n,) array
             The first stamps, in the unit to be determined.
         stated : str
@@ -251,7 +251,7 @@ def columns_of(where: object, names: Iterable[str], options: ReadOptions) -> Col
     Parameters
     ----------
     where : object
-        Name of the table in messages.
+        Name of the table in error messages.
     names : iterable of str
         Names of the columns. If several columns contain times, `_STAMPS` states which of them are
         used.

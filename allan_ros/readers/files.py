@@ -220,7 +220,7 @@ SURROGATE = re.compile('[\ud800-\udfff]')
 
 
 def parse_json(text: str, where: str) -> object:
-    """Parse a JSON text; ``where`` is the name of the text in messages.
+    """Parse a JSON text; ``where`` is the name of the text in error messages.
 
     Raises AllanError if the text is too long, invalid or nested too deeply, or contains the words
     NaN or Infinity as numbers, an integer of more than 20 characters, or an unpaired surrogate.
@@ -333,7 +333,7 @@ def config_file(kind: str, name: str, called: str) -> Path:
         Name of the file without suffix, or path of a .yaml or .yml file. In a name, capital letters
         and punctuation do not matter. A path is not checked.
     called : str
-        Word for such a file in messages, such as 'datasheet'.
+        Word for such a file in error messages, such as 'datasheet'.
 
     Raises
     ------

@@ -73,7 +73,7 @@ def chosen_topic(path: Path, survey: Survey, wanted: str, accel_topic: str = '')
     Parameters
     ----------
     path : Path
-        The bag, for messages.
+        Path of the bag, for error messages.
     survey : Survey
         The topics of the bag.
     wanted : str
@@ -199,21 +199,22 @@ class _Reader:
         self._temperatures = [Decimated() for _ in self.thermometers]
         self._wrongly_absent.clear()
         bag, key, total = self.bag, (self.topic.name, self.topic.type), 0
-        stated = bag.described.counts if bag.described else {}
+        stated_counts = bag.described.counts if bag.described else {}
         for file in bag.files:
             storage = bag.storage(file)
-            if found := storage.truncation:
-                report(finding('bag_cut', path=file, read=found.read, size=found.size))
-            read = 0
+            if cut := storage.truncation:
+                report(finding('bag_cut', path=file, read=cut.read, size=cut.size))
+            samples_of_file = 0
             for batch in _rebatched(self._decoded(file, self._blocks(storage))):
-                read += len(batch)
+                samples_of_file += len(batch)
                 yield self.options.in_si(batch)
-            if key not in stated:
-                _compare(storage.stated(_ids(storage, self.topic), read), read, file, report)
-            total += read
+            if key not in stated_counts:
+                stated_count = storage.stated(_ids(storage, self.topic), samples_of_file)
+                _compare(stated_count, samples_of_file, file, report)
+            total += samples_of_file
         bag.close()
-        if key in stated:
-            _compare(stated[key], total, bag.path / METADATA, report)
+        if key in stated_counts:
+            _compare(stated_counts[key], total, bag.path / METADATA, report)
         for sensor, count in sorted(self._wrongly_absent.items()):
             axes = AXES[SENSORS[sensor]]
             report(finding('covariance_ignored', axes, count=count, sensor=sensor, read=total))

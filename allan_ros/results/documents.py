@@ -104,7 +104,7 @@ def results_to_document(results: Results, curves: bool = True) -> dict[str, Any]
 def results_from_document(document: object, where: str = 'results') -> Results:
     """Return the results in a document ``allan_ros/results/3``.
 
-    ``where`` names the document in messages. Raises AllanError if the document is invalid.
+    ``where`` names the document in error messages. Raises AllanError if the document is invalid.
     """
     fields = Fields(document, where, DOCUMENT_KEYS)
     fields.schema(RESULTS_SCHEMA)
@@ -161,7 +161,7 @@ def sums_file_from_document(
 ) -> tuple[tuple[AllanSums, ...], Provenance]:
     """Return the Allan sums and the provenance in the document of a sums.json.
 
-    ``where`` names the document in messages. Raises AllanError if the document is invalid.
+    ``where`` names the document in error messages. Raises AllanError if the document is invalid.
     """
     fields = Fields(document, where, DOCUMENT_KEYS)
     fields.schema(SUMS_FILE_SCHEMA)

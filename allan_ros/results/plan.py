@@ -290,7 +290,7 @@ def load_plan(path: str | Path) -> Plan:
 
 
 def plan_from_document(document: object, where: str) -> Plan:
-    """Return the test plan in a document; ``where`` is the name of the document in messages.
+    """Return the test plan in a document; ``where`` is the name of the document in error messages.
 
     Raises AllanError if an entry is invalid; the message states the position of the entry.
     """

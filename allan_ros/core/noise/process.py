@@ -42,7 +42,8 @@ class Parameter(NamedTuple):
     """One shape parameter of a process, such as its correlation time."""
 
     name: str  # name of the field in the class of the process
-    unit: Literal['s', 'Hz']  # the time unit is the sample period in gamma, and 1 s in a `Model`
+    # unit of measurement in a `Model`; the function `Process.gamma` counts time in sample periods
+    unit: Literal['s', 'Hz']
     largest_step: float  # largest change of the logarithm of the parameter in a step of a search
     derivative_step: float  # change of the logarithm of the parameter for a numerical derivative
 

@@ -15,8 +15,8 @@ class LowPass(Quantization):
     """Effect of a low-pass filter on averages that are long compared with its impulse response.
 
     A filter multiplies the spectrum of white noise by a series in f^2. The term in f^2 has the
-    spectrum of quantization noise, but its coefficient q is mostly negative. Other than Q, q is not
-    squared: q tau0^-2 is the factor of gamma.
+    spectrum of quantization noise, but its coefficient q is mostly negative. Covariances are
+    q/tau0^2 times `gamma`, so they contain q itself and not, as for other coefficients, its square.
     """
 
     name = 'low_pass'
