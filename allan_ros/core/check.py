@@ -432,7 +432,7 @@ def _limit(c: Estimate) -> float | None:
 
 
 def _ratio_of_estimates(a: Known, b: Known) -> tuple[float, tuple[float, float], float]:
-    """Return the ratio b / a, its 95 % interval, and the p value of equal coefficients.
+    """Return the ratio b / a, its 95 % interval, and the p value for equal true coefficients.
 
     The p value uses the upper half of the interval of the smaller estimate, and the lower half of
     the interval of the larger estimate.
@@ -462,7 +462,7 @@ def _width(upper: float, lower: float, x: Known) -> float:
 
 
 def _p_value_of_limit(a: Known, limit: float, power: float) -> float:
-    """Return the p value of equal noise if only one of two recordings resolves a coefficient.
+    """Return the p value for equal noise if only one of two recordings resolves a coefficient.
 
     ``a`` is the estimate from this recording, and ``limit`` is the upper limit from the other
     recording. The p value follows from the confidence level at which the lower limit of ``a``

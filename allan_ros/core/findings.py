@@ -218,7 +218,7 @@ def grouped(findings: Iterable[Finding]) -> tuple[Finding, ...]:
 
 
 def _kind(value: Any) -> Hashable:
-    """Return the part of a value that must be equal in two findings that may be merged."""
+    """Return the part of a value that must be equal for two findings to be merged."""
     if isinstance(value, Estimate):
         return value.axis, value.name, value.value is None
     is_number = isinstance(value, (int, float)) and not isinstance(value, bool)

@@ -257,7 +257,8 @@ def simulate_imu(
 
 
 MOTION_FREQUENCIES = (0.31, 0.73, 1.13)
-"""Frequencies in Hz of the sinusoids of a simulated motion, whose sum has a long period."""
+"""Frequencies in Hz of the sinusoids of a simulated motion. The sum of the sinusoids has a long
+period."""
 
 
 def _disturb_samples(

@@ -27,7 +27,7 @@ DRIFT_BLOCKS = 16
 computed."""
 
 LEAST_RANGE_K = 3.0
-"""Range of the temperature in K below which its effect on the samples is not estimated."""
+"""Least range of the temperature in K for which its effect on the samples is estimated."""
 
 HALF_POWER = 0.5
 """Power at the upper end of the bandwidth, relative to the power of white noise (-3 dB)."""

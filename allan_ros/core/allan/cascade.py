@@ -79,7 +79,7 @@ class CascadeLevel:
 
     @property
     def octaves(self) -> list[int]:
-        """All octaves of the level."""
+        """Octaves of frequency whose spectra this level computes."""
         return [o for group in self.groups for o in group]
 
 
@@ -180,7 +180,7 @@ class _HalfBlocks:
 
 
 class _Rows(NamedTuple):
-    """Range of the rows of one octave in a matrix with one row for each half block.
+    """Rows of one octave in a matrix that has one row for each axis and half block.
 
     The rows are sorted by axis, then by time.
     """
@@ -193,16 +193,16 @@ class _Rows(NamedTuple):
 
 
 class _Layout(NamedTuple):
-    """Rows of several octaves in a matrix that has one row for each half block in n points."""
+    """Rows of several octaves in a matrix that has one row for each axis and half block."""
 
-    octaves: list[_Rows]  # rows of each octave whose half blocks have at most n points
+    octaves: list[_Rows]  # without octaves whose half blocks are longer than all points
     firsts: Ints  # (octaves * axes,) row of the first half block of each octave and axis
     lasts: Ints  # (octaves * axes,) row of the last half block of each octave and axis
 
 
 @lru_cache(256)
 def _layout(octaves: range, axes: int, n: int) -> _Layout:
-    """Return the rows of several octaves in a matrix of the half blocks in n points."""
+    """Return which rows of a matrix belong to each octave, if there are n points (`_Layout`)."""
     rows: list[_Rows] = []
     for o in octaves:
         half, begin = octave(o).size // 2, rows[-1].end if rows else 0
@@ -385,7 +385,7 @@ def _squared_amplitudes(
 
 
 def _second_differences(points: Floats, summed: int, level: CascadeLevel) -> tuple[Floats, Ints]:
-    """Return sums of squares and numbers of all and of the non-overlapping second differences.
+    """Return sums of squares, and numbers, of all second differences and of non-overlapping ones.
 
     The sums, (parts, 2 * factors, axes), and the numbers, (parts, 2 * factors), are first for all
     differences at each factor that end in each part of the block, then for the non-overlapping

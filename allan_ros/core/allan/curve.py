@@ -223,8 +223,8 @@ def _local_slopes(m: Ints, avar: Floats, weights: Floats) -> Floats:
 
 UNCERTAIN = 1.5
 """Largest ratio of the upper limit of a point to the point itself. A point with a larger ratio is
-not compared with a model. It has fewer than six degrees of freedom: its averaging time exceeds
-about a tenth of the recording."""
+not compared with a model. Such a point has fewer than six degrees of freedom: its averaging time
+exceeds about a tenth of the recording."""
 
 
 @dataclass(frozen=True)
@@ -376,7 +376,7 @@ class Spectra:
     dof: Floats  # (bins,) degrees of freedom of the mean power of a bin
     shared_dof: Floats  # (bins,) degrees of freedom that a bin contributes to a sum over all bins
     # (bins,) sum of the squared correlations of the mean power of a bin with all bins
-    clump: Floats
+    squared_correlations: Floats
     blocks: Ints  # (octaves,) number of spectral blocks
     pairs: Ints  # (octaves,) number of pairs of overlapping spectral blocks
 
@@ -397,17 +397,19 @@ def pooled_spectra(sums: AllanSums) -> Spectra:
     octaves = [octave(o) for o in range(len(blocks))]
     octave_of_bin = np.repeat(np.arange(len(blocks)), [len(band.bins) for band in octaves])
     f = [np.array(band.bins) / band.length for band in octaves]
-    dof_and_clump = np.zeros((3, len(blocks)))
+    values_of_octaves = np.zeros((3, len(blocks)))
     for o in np.flatnonzero(blocks):  # the values of other octaves stay 0
         same_block, next_blocks = overlap(int(o))
         covariance = (blocks[o] * same_block + pairs[o] * next_blocks) / float(blocks[o]) ** 2
         variance = covariance[np.argmax(same_block)]
-        clump = np.sum((covariance / variance) ** 2)
-        dof_and_clump[:, o] = 2.0 / variance, 2.0 / covariance.sum(), clump
+        squared_correlations = np.sum((covariance / variance) ** 2)
+        values_of_octaves[:, o] = 2.0 / variance, 2.0 / covariance.sum(), squared_correlations
     mean_power = power / np.maximum(blocks[octave_of_bin], 1)[:, None]
     frequency = np.concatenate([np.zeros(0), *f])
-    dof, shared_dof, clump = dof_and_clump[:, octave_of_bin]
-    return Spectra(octave_of_bin, frequency, mean_power, dof, shared_dof, clump, blocks, pairs)
+    dof, shared_dof, squared_correlations = values_of_octaves[:, octave_of_bin]
+    return Spectra(
+        octave_of_bin, frequency, mean_power, dof, shared_dof, squared_correlations, blocks, pairs
+    )
 
 
 @dataclass(frozen=True)

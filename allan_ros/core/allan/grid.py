@@ -32,8 +32,8 @@ LEVEL_FACTORS = (8, 10, 12, 14)
 """Averaging factors of each level j of the cascade, in units of its stride, 2^j samples."""
 
 MAX_LEVELS = 42
-"""Largest accepted number of levels. The longest averaging time is then 2^41 x 14 samples, which
-are 970 years at 1 kHz."""
+"""Largest accepted number of levels of the cascade. The longest averaging time is then 2^41 x 14
+samples, which are 970 years at 1 kHz."""
 
 
 def grid(levels: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

@@ -30,7 +30,7 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 MAX_PERIODS = 24
-"""Largest number of periods of all recordings of an `AllanSums`."""
+"""Largest number of periods of an `AllanSums`, over all recordings."""
 
 KEPT_SEGMENTS, MIN_MEANS, MAX_MEANS = 32, 4, 1024
 """Block means are kept for at most 32 segments: the longest ones that have at least 4 means. All
@@ -161,12 +161,12 @@ class RecordedPeriods(ByValue):
 
     @property
     def samples(self) -> int:
-        """Number of samples."""
+        """Number of samples of the recording."""
         return sum(p.samples for p in self.periods)
 
     @property
     def mean(self) -> Floats:
-        """Mean of all samples, (axes,)."""
+        """Mean of all samples of the recording, (axes,)."""
         total = sum((p.total for p in self.periods), np.zeros(len(self.reference)))
         return np.asarray(self.reference + total / max(self.samples, 1))
 
@@ -190,7 +190,7 @@ class RecordedPeriods(ByValue):
 
 
 def pair_to_merge(begins: Sequence[int], length: int) -> tuple[float, int]:
-    """Return the smallest relative length of a pair of neighboring periods, and its first index.
+    """Return the least relative length of two neighboring periods, and the index of the first.
 
     ``begins`` are the ages at which the periods begin, and ``length`` is the number of samples of
     the recording. The length of a pair of periods is divided by the smaller of two distances: from

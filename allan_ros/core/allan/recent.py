@@ -149,7 +149,7 @@ def noise_steps(sums: AllanSums, window_s: float) -> dict[str, NoiseStep]:
 
 
 def _steps(degrees: Floats, squares: Floats) -> tuple[int, int, int] | None:
-    """Return the rows after the first and the last step, and the index of their averaging factor.
+    """Return the indices of the first periods after the first and the last step, and of the factor.
 
     ``degrees`` are the degrees of freedom, and ``squares`` are the sums of squares, of each period
     and averaging factor, (rows, factors). The first step is the most significant step at all
@@ -171,10 +171,10 @@ def _steps(degrees: Floats, squares: Floats) -> tuple[int, int, int] | None:
 
 
 def _step_ratios(degrees: Floats, squares: Floats) -> Floats:
-    """Return twice the log likelihood ratio of a step after each row, (rows, ...).
+    """Return twice the log likelihood ratio of a step after each period, (rows, ...).
 
-    ``degrees`` and ``squares`` are cumulative sums, (rows, ...). The result is -inf where the
-    data before or after the step are too few or constant.
+    ``degrees`` and ``squares`` are cumulative sums over the periods, (rows, ...). The result is
+    -inf where the data before or after the step are too few or constant.
     """
     nu = degrees, degrees[-1] - degrees, degrees[-1]
     sums = squares, squares[-1] - squares, squares[-1]

@@ -77,9 +77,9 @@ class _SegmentSums(NamedTuple):
     step: int
 
     def plus(self, block: Block) -> _SegmentSums:
-        """Return the sums after the samples of a block of level 0 were added.
+        """Return the sums to which the samples of a block of level 0 are added.
 
-        The step doubles if there are too many sums.
+        ``step`` doubles if there would be more than `SEGMENT_MEANS` complete sums.
         """
         samples, step, sums = block.samples[:-1], self.step, self.sums.copy()
         # number of samples that are needed to complete the last sum

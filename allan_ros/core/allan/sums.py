@@ -45,8 +45,8 @@ TAU0_TOLERANCE = 1e-3
 addition to the uncertainty of the periods."""
 
 Lengths = tuple[tuple[int, int], ...]
-"""Total number of samples, and number of segments, of each length class, shortest segments
-first."""
+"""Total number of samples, and number of segments, in each class of segments of similar length. The
+class of the shortest segments is first."""
 
 
 def length_class(samples: float) -> int:
@@ -252,8 +252,8 @@ def add_sums(a: Sequence[AllanSums], b: Sequence[AllanSums]) -> tuple[AllanSums,
     """
     if not a or not b:
         return tuple(a or b)
-    by_axes = {s.axes: s for s in b}
-    if set(by_axes) != {s.axes for s in a}:
+    sums_by_axes = {s.axes: s for s in b}
+    if set(sums_by_axes) != {s.axes for s in a}:
         axes_of_a, axes_of_b = (
             ' and separately '.join(', '.join(s.axes) for s in sums) for sums in (a, b)
         )
@@ -261,7 +261,7 @@ def add_sums(a: Sequence[AllanSums], b: Sequence[AllanSums]) -> tuple[AllanSums,
             f'sums of {axes_of_a} and of {axes_of_b} cannot be added: the sensors differ, '
             'analyze them separately'
         )
-    return tuple(s + by_axes[s.axes] for s in a)
+    return tuple(s + sums_by_axes[s.axes] for s in a)
 
 
 def check_same_imu(a: Sequence[AllanSums], b: Sequence[AllanSums]) -> None:
@@ -330,7 +330,7 @@ def _excerpt(recording: RecordedPeriods, tau0: float | None, first: int) -> Reco
 
 
 def _clipped(means: BlockMeans, tau0: float, begin: int) -> BlockMeans:
-    """Return the means over the blocks that start at the age ``begin`` or later."""
+    """Return the block means from the sample with the index ``begin`` in the recording on."""
     step = means.step
     first_mean = min(max(-((means.age - begin) // step), 0), len(means.values))
     return replace(

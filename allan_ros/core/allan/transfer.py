@@ -30,7 +30,7 @@ BLOCK = 256
 """Number of samples in a block of the spectra; neighboring blocks overlap by half."""
 
 LEAST_BLOCKS = 40
-"""Fewest independent blocks for which the transfer is tested."""
+"""Fewest independent blocks for which it is tested whether the sensors measure a signal equally."""
 
 HIGHEST = 1.0 / 16.0
 """Highest frequency of the test in cycles per sample. At higher frequencies, differences of up to

@@ -67,15 +67,17 @@ typical limits of MEMS datasheets: 0.01 rad or 1 %, and 1e-3 rad/s per m/s^2 (0.
 'accel_matrix' have nine elements each, and include such a rotation."""
 
 SIGMA_LOG = 2.0 * math.log(5.0)
-"""Prior standard deviation of the logarithm of s_i^2: within two standard deviations, s_i is
-between 1/25 and 25. The prior only matters if the drives do not determine a factor."""
+"""Prior standard deviation of the logarithm of s_i^2, where s_i is a factor of the noise in motion.
+Within two standard deviations, s_i is between 1/25 and 25. The prior only matters if the drives do
+not determine a factor."""
 
 MOST_STEPS, STEP, CONVERGED = 60, 1.5, 3e-3
 """Limits of the Fisher scoring: largest number of steps, largest change of a logarithm of s_i^2 in
 one step, and change in one step below which the iteration ends."""
 
 Groups = tuple[tuple[str, ...], ...]
-"""For each factor s_i, the names of the covariances that are multiplied by s_i^2."""
+"""For each factor s_i of the noise in motion, the names of the covariances that are multiplied by
+s_i^2."""
 
 
 class NoiseAtRest(NamedTuple):
@@ -270,9 +272,10 @@ class DriveLikelihood:
         return best
 
     def covariances(self, groups: Groups, log_factors: Floats) -> tuple[list[Floats], Floats]:
-        """Return s_i^2 M_i of all factors as a list, and D; all arrays are (drives, 9, 9).
+        """Return the scaled covariance of each group of noise, as a list, and their sum D.
 
-        M_i is the sum of the covariances of a group. ``log_factors`` are the logarithms of s_i^2.
+        All arrays are (drives, 9, 9). The sum also contains the noise in no group, and the
+        covariance F. ``log_factors`` are the logarithms of the scales s_i^2.
         """
         zero = np.zeros_like(self.own)
         scaled = [
@@ -284,7 +287,10 @@ class DriveLikelihood:
         return scaled, sum(scaled, sum(other_noise, self.own))
 
     def all_effects(self, causes: tuple[str, ...]) -> Floats:
-        """Return U with the calibration errors ``causes``, (drives, 9, r)."""
+        """Return the matrix U with columns for the calibration errors ``causes``.
+
+        The result is (drives, 9, r).
+        """
         return np.concatenate([self.common, *(self.effects[name] for name in causes)], axis=2)
 
     def _evaluated(
@@ -396,7 +402,7 @@ def _accel_bias(drives: Sequence[DriveErrors]) -> tuple[Floats, Floats]:
 
 
 def _turned_earth(drives: Sequence[DriveErrors]) -> Floats:
-    """Return the columns of U for the rotation of the Earth, (drives, 9, r).
+    """Return the columns of the matrix U for the rotation of the Earth, (drives, 9, r).
 
     A chain is a sequence of drives in which each drive begins at the rest at which the previous
     drive ended. Each chain has three columns: the components of the rotation in the axes of the

@@ -233,9 +233,9 @@ REFINEMENTS = 4
 values on a logarithmic scale."""
 
 PROMISING_SETTLING = 5.0
-"""Least score of a settling, summed over the axes, for which the noise is fitted again. It is below
-`GAIN_SETTLING`, because a score is computed with the noise of a fit without the settling. If there
-is a settling, this noise is too large, and the score is too small."""
+"""Least score (approximate gain) of a settling, summed over the axes, for which the noise is fitted
+again. It is below `GAIN_SETTLING`, because a score is computed with the noise of a fit without the
+settling. If there is a settling, this noise is too large, and the score is too small."""
 
 LEAST_SEGMENT = 0.3
 """Least length of the first segment of a recording, relative to the recording, for which a settling
@@ -284,14 +284,14 @@ class _Sensor:
     def effects(self, time: float) -> dict[int, FittedEffects]:
         """Return axis index -> fit with a settling; its time constant is ``time`` in samples."""
         decay = self.segment.contrasts_of(_decays([time], self.segment.means))
-        return {axis: one.with_effects(decay) for axis, one in self.noise.items()}
+        return {axis: axis_segment.with_effects(decay) for axis, axis_segment in self.noise.items()}
 
     def gain(self, time: float) -> float:
         """Return the gain in -2 log L of a settling with the time constant ``time`` in samples.
 
         The gain is summed over the axes.
         """
-        return sum(max(one.gain, 0.0) for one in self.effects(time).values())
+        return sum(max(fitted.gain, 0.0) for fitted in self.effects(time).values())
 
     def best_time(self) -> tuple[float, float]:
         """Return the time constant in samples with the largest gain, and this gain.
@@ -303,7 +303,11 @@ class _Sensor:
         decays = self.segment.contrasts_of(_decays(times, means))
         no_effects = decays[:, :0]
         scores = np.sum(
-            [one.scores(decays, no_effects, one.fit) for one in self.noise.values()], axis=0
+            [
+                axis_segment.scores(decays, no_effects, axis_segment.fit)
+                for axis_segment in self.noise.values()
+            ],
+            axis=0,
         )
         if scores.max() < PROMISING_SETTLING:
             return 0.0, 0.0
@@ -406,9 +410,9 @@ without steps, for which the steps are reported. A drift that is not a random wa
 a few steps, but such steps explain less of the random walk."""
 
 PROMISING_STEP = 8.0
-"""Least score of a step for which the noise is fitted again. It is below `GAIN_STEPS`, because the
-score is computed with the noise of a fit without the step. If there is a step, this noise is too
-large, and the score is too small."""
+"""Least score (approximate gain) of a step for which the noise is fitted again. It is below
+`GAIN_STEPS`, because the score is computed with the noise of a fit without the step. If there is a
+step, this noise is too large, and the score is too small."""
 
 
 class BiasSteps(NamedTuple):

@@ -100,11 +100,11 @@ class LowBandFit:
         ``covariances``, (candidates, contrasts, contrasts), are the covariances of the contrasts
         for the coefficient 1, in units of `AxisData.scale`.
         """
-        v, half = self.inverse @ covariances, 0.5 * self.segments
+        v, half_segments = self.inverse @ covariances, 0.5 * self.segments
         return Moments(
             0.5 * np.tensordot(covariances, self.excess, 2),
-            half * np.sum(v * v.transpose(0, 2, 1), (1, 2)),
-            half * np.tensordot(covariances, self.components, ((1, 2), (1, 2))),
+            half_segments * np.sum(v * v.transpose(0, 2, 1), (1, 2)),
+            half_segments * np.tensordot(covariances, self.components, ((1, 2), (1, 2))),
         )
 
     def waves(self, waves: Floats) -> Moments:
@@ -114,12 +114,13 @@ class LowBandFit:
         its cosine and of its sine, for the coefficient 1. The covariances are in units of
         `AxisData.scale`.
         """
-        quadratic_forms, half = waves @ self.inverse @ waves.transpose(0, 2, 1), 0.5 * self.segments
+        quadratic_forms = waves @ self.inverse @ waves.transpose(0, 2, 1)
+        half_segments = 0.5 * self.segments
         outer = (waves[:, :, :, None] * waves[:, :, None, :]).sum(1).reshape(len(waves), -1)
         return Moments(
             0.5 * np.sum((waves @ self.excess) * waves, (1, 2)),
-            half * np.sum(quadratic_forms**2, (1, 2)),
-            half * (outer @ self.components.reshape(len(self.components), -1).T),
+            half_segments * np.sum(quadratic_forms**2, (1, 2)),
+            half_segments * (outer @ self.components.reshape(len(self.components), -1).T),
         )
 
 
@@ -209,12 +210,12 @@ class Kind:
         The score is the derivative of the log likelihood with respect to the coefficient of a
         candidate, at the coefficient 0.
         """
-        s, half = fit.spectrum(), data.dof[data.used] / 2.0
+        s, half_dof = fit.spectrum(), data.dof[data.used] / 2.0
         relative_power = self.power[:, data.used] / s
         moments = Moments(
-            relative_power @ (half * (data.power[data.used] / s - 1.0)),
-            relative_power**2 @ half,
-            relative_power @ (fit.columns.power / s[:, None] * half[:, None]),
+            relative_power @ (half_dof * (data.power[data.used] / s - 1.0)),
+            relative_power**2 @ half_dof,
+            relative_power @ (fit.columns.power / s[:, None] * half_dof[:, None]),
         )
         for group, matrices in enumerate(low if len(self.slow) else ()):
             if self.first.low_band == 'dense':

@@ -108,8 +108,8 @@ def axis_fit(selected: SelectedModel, tau0: float, brief: bool = False) -> AxisF
         noise |= dict.fromkeys('BKR', UNKNOWN)
     # a term that another process replaces is not in the model
     values = {
-        term.letter: 0.0 if one.parameters else noise[term.letter].value or 0.0
-        for term, one in zip(RANDOM_TERMS, fit.components)
+        term.letter: 0.0 if component.parameters else noise[term.letter].value or 0.0
+        for term, component in zip(RANDOM_TERMS, fit.components)
     }
     values['R'] = 0.0 if brief else _ramp_of_model(ramp, noise['R'].resolved)
     shaped = _shaped(fit)
@@ -191,7 +191,7 @@ def _shaped(fit: Fit) -> list[int]:
     The indices are sorted by name and shape of the processes.
     """
     processes = fit.components
-    shaped = (k for k, one in enumerate(processes) if one.parameters and fit.p[k] > 0.0)
+    shaped = (k for k, process in enumerate(processes) if process.parameters and fit.p[k] > 0.0)
     return sorted(shaped, key=lambda k: (processes[k].name, processes[k].shape))
 
 

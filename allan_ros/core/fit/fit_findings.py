@@ -67,7 +67,7 @@ half widths up to 0.4. Gauss-Markov noise with a correlation time of 2 samples c
 30, but half widths below 0.1 on nearly all axes."""
 
 LACK_OF_FIT_SHARE = 1.0 / 3.0
-"""Largest share of octaves with a lack of fit for which the model describes an axis."""
+"""An axis is disturbed if more than this share of the octaves of frequencies has a lack of fit."""
 
 DISTURBED_SHARE = 0.5
 """Least share of disturbed axes for which a recording is not a noise recording."""
@@ -168,11 +168,11 @@ def line_finding(name: tuple[str], lines: Sequence[Part], tau0: float) -> Findin
 
 def merge_equal(findings: Sequence[Finding]) -> tuple[Finding, ...]:
     """Return the findings, with equal findings about several axes merged into one."""
-    out: dict[tuple[str, tuple[tuple[str, object], ...]], Finding] = {}
+    merged: dict[tuple[str, tuple[tuple[str, object], ...]], Finding] = {}
     for f in findings:
         key = (f.id, tuple(f.values.items()))
-        out[key] = replace(f, axes=(*out[key].axes, *f.axes)) if key in out else f
-    return tuple(out.values())
+        merged[key] = replace(f, axes=(*merged[key].axes, *f.axes)) if key in merged else f
+    return tuple(merged.values())
 
 
 def not_noise_findings(models: Sequence[NoiseModel], seconds: float) -> list[Finding]:

@@ -305,7 +305,7 @@ def _bends_like_noise(rules: Selection) -> bool:
 
 
 def _with_fast_process(rules: Selection) -> Fit:
-    """Return the fit of the base with the fast Gauss-Markov process that fits best."""
+    """Return the fit of the base components and of the fast Gauss-Markov process that fits best."""
     base = rules.base_fit
     fast_processes = [
         c for kind in rules.candidates.kinds for c in kind.processes if c.bends_spectrum

@@ -113,7 +113,7 @@ LEAST_POINTS = 6
 
 RESOLVED = 2.33
 """A coefficient is resolved if its square is at least this multiple of the standard error of the
-square: false alarms of 1 % (one-sided)."""
+square. The expected rate of false alarms is 1 % (one-sided)."""
 
 
 def fit_curve(tau: ArrayLike, adev: ArrayLike, record: float | None = None) -> AxisFit:

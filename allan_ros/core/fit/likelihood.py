@@ -36,7 +36,7 @@ of freedom."""
 
 RIDGE = 1e-9
 """Number that is added to the diagonal of the scaled information matrix, so that the matrix is
-regular even if the data cannot tell two coefficients apart."""
+regular even if the data cannot distinguish two coefficients."""
 
 
 class Shape(NamedTuple):
@@ -97,9 +97,9 @@ class Fit:
         The covariance is 0 for coefficients that are held at 0.
         """
         free = self.free
-        out = np.zeros_like(self.information)
-        out[np.ix_(free, free)] = inverse(self.information[np.ix_(free, free)])
-        return out
+        full_covariance = np.zeros_like(self.information)
+        full_covariance[np.ix_(free, free)] = inverse(self.information[np.ix_(free, free)])
+        return full_covariance
 
     def spectrum(self) -> Floats:
         """Return the expected power of the bins that are used, (bins,)."""
@@ -440,7 +440,7 @@ def _crossing(distance, z: float, inner: float, outer: float, outer_distance: fl
 
 
 class RampEstimate(NamedTuple):
-    """Estimate of a ramp."""
+    """Estimate of a ramp, a constant rate of change of the samples."""
 
     value: float  # change per unit of time
     error: float  # standard error of the value

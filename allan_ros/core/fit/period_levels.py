@@ -365,9 +365,11 @@ def spectrum_levels(
         Sample period in s.
     """
     expected, share = np.ones_like(spectra.whole.power), np.zeros_like(spectra.whole.power)
-    for i, (one, fit) in enumerate(zip(known, fits)):
-        total, drift = total_and_drift(fit, tau0, one.power_of, len(one.f))
-        used_bins = np.flatnonzero((total > 0.0) & (one.settling[:, i] < LARGEST_SETTLING))
+    for i, (axis_statistics, fit) in enumerate(zip(known, fits)):
+        total, drift = total_and_drift(fit, tau0, axis_statistics.power_of, len(axis_statistics.f))
+        used_bins = np.flatnonzero(
+            (total > 0.0) & (axis_statistics.settling[:, i] < LARGEST_SETTLING)
+        )
         expected[used_bins, i] = total[used_bins]
         share[used_bins, i] = drift[used_bins] / total[used_bins]
     return spectra.levels(expected, np.where(share > LEAST_SHARE, share, 0.0))
@@ -442,7 +444,7 @@ def _prediction(fit: AxisFit, tau0: float, step: int, number: int) -> tuple[Floa
 
 
 def _innovations(whitening: Floats, differences: Floats, effects: Floats) -> Floats:
-    """Return the innovations, (n,), of differences, (n,), after effects are subtracted.
+    """Return the innovations, (n,), of differences of block means, (n,), without some effects.
 
     ``whitening`` is the first result of `_prediction`. Each column of ``effects``, (n, effects), is
     one effect, whose size is fitted.
@@ -464,7 +466,7 @@ def _of_differences(gamma: Floats) -> Floats:
 
 
 def _effects(means: BlockMeans, time: float) -> Floats:
-    """Return the effects of a ramp and of a settling on the differences, (n, effects).
+    """Return the effects of a ramp and a settling on differences of block means, (n, effects).
 
     ``time`` is the time constant of the settling in samples; 0 for none.
     """

@@ -110,11 +110,11 @@ class Selection:
 
     @cached_property
     def base_fit(self) -> Fit:
-        """Fit of the base."""
+        """Fit of the components that every model contains (`base`)."""
         return self.fit(self.base)
 
     def selected(self) -> tuple[Selection, Fit]:
-        """Return the selection with the weights of `weighed`, and the fit of the selected model."""
+        """Return the selection, with reduced weights of bins (`weighed`), and the selected fit."""
         rules, fit = self, self.base_fit
         while len(fit.p) < len(self.base) + MAX_PROCESSES:
             larger = rules._with_one_more(fit)
@@ -179,7 +179,7 @@ class Selection:
         return best
 
     def _with_limits(self, fit: Fit) -> Fit:
-        """Return the fit in which simpler processes replace processes at a limit of their shape.
+        """Return the fit in which simpler processes replace processes whose shape is at a limit.
 
         A resonance that is too narrow for the spectra becomes a sinusoid.
         """

@@ -162,7 +162,7 @@ def fit_likelihood(sums: AllanSums, of_axes: Sequence[Statistics] = ()) -> Noise
     """
     tau0 = sums.tau0 or 1.0
     of_axes = of_axes or [statistics(sums)] * len(sums.axes)
-    candidates_of = {one: Candidates(one) for one in of_axes}
+    candidates_of = {axis_statistics: Candidates(axis_statistics) for axis_statistics in of_axes}
     axes: dict[str, AxisFit] = {}
     findings: list[Finding] = []
     for a, (name, known) in enumerate(zip(sums.axes, of_axes)):
@@ -213,7 +213,7 @@ LARGEST_STEP_DIFFERENCE = 0.2
 the difference is larger, the samples are rounded without carrying the remainder."""
 
 STEP_ROUNDS = 3
-"""Number of times that the shape is computed from N, and N is fitted again."""
+"""Number of times that the shape of the rounding errors is computed from N, and N fitted again."""
 
 
 def rounding_errors(sums: AllanSums, axis: int, data: AxisData) -> Process | None:
@@ -380,7 +380,8 @@ def _fit_with_scatter(fit: AxisFit, white: float, drift: float) -> AxisFit:
 def _predicted(estimate: Estimate, half: float) -> Estimate:
     """Return an estimate with its predictive interval, or with a larger upper limit.
 
-    ``half`` is half of the width of the 95 % interval of the logarithm in another hour.
+    ``half`` is half of the width of the 95 % interval of the logarithm of the value in another
+    hour.
     """
     value, interval, limit = estimate.value, estimate.recording_ci95, estimate.upper95
     if limit is not None:

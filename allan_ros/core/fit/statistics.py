@@ -103,7 +103,7 @@ LARGEST_SETTLING_SHARE = 0.99
 """Largest share of the power of a bin that is regarded as the power of a settling. The larger this
 share is, the less weight the bin has in the fit."""
 
-EQUAL_LENGTHS = 8
+MOST_LENGTHS = 8
 """Largest number of different segment lengths for which whole segments are used. If there are more
 lengths, segments are divided into pieces of a few lengths."""
 
@@ -429,7 +429,7 @@ def statistics(sums: AllanSums, settling: Settling | None = None) -> Statistics:
         settling_share,
         spectra.shared_dof[is_used],
         spectra.dof[is_used],
-        float(spectra.clump[is_used][-1]) if octaves else 1.0,
+        float(spectra.squared_correlations[is_used][-1]) if octaves else 1.0,
         step,
         groups,
         sums.replaced,
@@ -483,7 +483,7 @@ def _groups(
     means = [(r, m) for r in sums.recordings for m in r.means]
     step = max((m.step for _, m in means), default=1)
     segments = [(r, m, _coarser(m.values.T, step // m.step)) for r, m in means]
-    uses_whole_segments = len({y.shape[1] for *_, y in segments}) <= EQUAL_LENGTHS
+    uses_whole_segments = len({y.shape[1] for *_, y in segments}) <= MOST_LENGTHS
     decay = settling.time / step if settling is not None else 0.0
     pieces: dict[tuple[int, float], list[Floats]] = {}
     for recording, m, y in segments:

@@ -43,7 +43,7 @@ MOST_MEANS, LEAST_MEANS = 256, 32
 """Largest and smallest number of block means of a fit."""
 
 RATE_BLOCKS = 8
-"""Number of block means over which the rate of change of the temperature is averaged."""
+"""Time, in blocks, over which the rate of change of the temperature is averaged."""
 
 LONGEST_PAUSE_S = 120.0
 """Longest time in s between two temperature readings over which the temperature is interpolated. If
@@ -85,7 +85,10 @@ class _TemperatureBlocks(NamedTuple):
 
     @property
     def rate(self) -> Floats:
-        """Slope of the temperature over `RATE_BLOCKS` blocks, in K per block, (n,)."""
+        """Slope of the temperature near each block, in K per block, (n,).
+
+        The blocks within `RATE_BLOCKS` / 2 blocks of a block are used.
+        """
         slopes = np.zeros(len(self.time))
         for part in self.parts:
             time, celsius = self.time[part], self.celsius[part]
