@@ -222,7 +222,8 @@ def _state_text(health: StreamHealth, static_s: float) -> str:
 
 
 FIT_NOTES = ('settling', 'not_settled', 'bias_steps', 'level_changes', 'level_changed')
-"""Ids of findings of a fit that the status of an axis lists, but that do not change its level."""
+"""Ids of findings of a fit that are listed in the status of an axis, but do not change the level of
+the status."""
 
 
 @dataclass(frozen=True)
@@ -253,7 +254,8 @@ class AxisView:
 def axis_status(name: str, hardware_id: str, view: AxisView) -> DiagnosticStatus:
     """Return the status of one axis.
 
-    Its level follows from the problems, a change of the noise level, and exceeded limits.
+    The level of the status follows from the problems, a change of the noise level, and exceeded
+    limits.
     """
     changes = [*_change_findings(view), *_limit_findings(view)]
     findings = by_consequence([*view.problems, *changes])

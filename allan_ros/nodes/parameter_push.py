@@ -199,7 +199,7 @@ class ParameterPush(NodePart):
         """Restore the found values, because no program would restore them after this node ends.
 
         If the other node does not answer, the found values are sent although the present values
-        could not be read. If they do not arrive, the next start of this node restores them.
+        could not be read. Values that do not arrive are restored at the next start of this node.
         """
         self._cancel()
         self._plan = None

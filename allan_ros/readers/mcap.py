@@ -334,7 +334,8 @@ class McapStorage:
         """Add a message record outside chunks to the list of chunks.
 
         ``head`` is the start of the content of the record. The record begins at ``offset`` in the
-        file and stops before ``end``. Adjacent messages form one chunk, until it has `LOOSE_BYTES`.
+        file and stops before ``end``. Adjacent messages are joined to one chunk until this chunk
+        has `LOOSE_BYTES`.
         """
         channel, _, log_time, _ = MESSAGE_HEAD.unpack(head)
         self._indexed[channel] += 1

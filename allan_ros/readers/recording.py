@@ -147,13 +147,13 @@ class Recording:
     info : SourceInfo
         Where the samples come from.
     messages : int or None
-        Number of samples according to the recording, including the samples of ``accel``; None if
-        the recording does not state it.
+        Number of samples that the recording states, including the samples of ``accel``; None if
+        it states no number.
     read : callable
         Function that yields the samples in batches, and calls its argument with each finding.
     temperature : callable
         Function that returns the temperature over time of the IMU with a given frame_id, or None
-        if the temperature is not recorded. It is called after the samples have been read.
+        if the temperature is not recorded. Call this function after the samples have been read.
     options : ReadOptions
         The options, with the units that were found or assumed.
     axes : tuple of str

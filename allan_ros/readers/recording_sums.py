@@ -326,7 +326,8 @@ class Observer(Protocol):
     def progress(self, label: str, total: int | None) -> AbstractContextManager[Any]:
         """Return a context manager that yields an object with the method ``advance(samples)``.
 
-        ``label`` describes the input, and ``total`` is its number of samples; None if unknown.
+        ``label`` describes the input. ``total`` is the number of samples of the input; None if
+        unknown.
         """
         return contextlib.nullcontext(self)
 

@@ -161,7 +161,7 @@ def open_bag(path: Path, options: ReadOptions) -> Recording:
     topics = [topic for topic in survey.topics.values() if topic.encoding in ENCODINGS]
 
     def recording(topic: Topic, axes: tuple[str, ...], accel: Recording | None) -> Recording:
-        others = [name for name, _ in survey.imus() if name != topic.name]
+        other_names = [name for name, _ in survey.imus() if name != topic.name]
         reader = _Reader(bag, topic, options, _thermometers(topics, topic.name))
         return Recording(
             info=SourceInfo(str(path), topic.name, topic.type, bag.format),
@@ -172,13 +172,14 @@ def open_bag(path: Path, options: ReadOptions) -> Recording:
             axes=axes,
             close=bag.close,
             accel=accel,
-            other_topics=sorted(others, key=lambda name: -_shared(name, topic.name)),
+            other_topics=sorted(other_names, key=lambda name: -_shared(name, topic.name)),
         )
 
     if not options.accel_topic:
         return recording(topic, AXES, None)
-    other = chosen_topic(path, survey, options.accel_topic)
-    return recording(topic, AXES[SENSORS['gyro']], recording(other, AXES[SENSORS['accel']], None))
+    accel_topic = chosen_topic(path, survey, options.accel_topic)
+    accel = recording(accel_topic, AXES[SENSORS['accel']], None)
+    return recording(topic, AXES[SENSORS['gyro']], accel)
 
 
 @dataclass

@@ -20,7 +20,7 @@ from .files import open_regular
 from .recording import damaged, translated
 
 FETCHED_ROWS = 512
-"""Number of rows that are fetched from SQLite at a time; they fit into the processor cache."""
+"""Number of rows that are fetched from SQLite at a time: few enough for the processor cache."""
 
 BLOCK_ROWS = 4 * FETCHED_ROWS
 """Number of messages that are decoded together."""

@@ -35,9 +35,9 @@ BACKWARD_RUN = 16
 set back. Fewer such samples are excluded."""
 
 JUMP_DISTANCE = 4096
-"""If the clock seems to be set back twice within this number of samples, twice as many earlier
-stamps in a row are required before the next time. The first time, `BACKWARD_RUN` are required.
-Otherwise, stamps in random order would split the data again and again."""
+"""If the clock is set back within this number of samples after the start or after the last time, the
+number of earlier stamps in a row that is required the next time is doubled. Otherwise, this number
+is `BACKWARD_RUN`. Without the doubling, stamps in random order would split the data very often."""
 
 REORDER = 32
 """Largest number of places by which sorting moves a sample that arrived out of order."""
@@ -63,8 +63,8 @@ MOST_COVERED = 256
 def unit_of_stamps(stamps: Stamps) -> str:
     """Return the unit of integer stamps, (n,): 'us', 'ms' or 'ns'.
 
-    It is 'us' or 'ms' if the stamps in this unit are times since 1970 (`EPOCH_S`), and their median
-    step is above 0 and at most `SLOWEST_S`. Otherwise, it is 'ns'.
+    The unit is 'us' or 'ms' if the stamps in this unit are times since 1970 (`EPOCH_S`), and their
+    median step is above 0 and at most `SLOWEST_S`. Otherwise, the unit is 'ns'.
 
     >>> import numpy as np
     >>> unit_of_stamps(1_700_000_000_000_000 + 5000 * np.arange(9))

@@ -34,7 +34,8 @@ from numpy.typing import ArrayLike, NDArray
 from ..imu import Floats
 
 EARTH_RATE = 7.292115e-5
-"""Rotation rate of the Earth in rad/s (WGS 84). Its direction relative to the sensor is unknown."""
+"""Rotation rate of the Earth in rad/s (WGS 84). The direction of the axis of rotation relative to
+the sensor is unknown."""
 
 REST_S = 30.0
 """Longest time in s next to a drive over which the samples of a rest are averaged."""

@@ -61,8 +61,8 @@ nearest to this value is the most probable unit."""
 
 UNIT_ERROR, LARGEST_ACCEL_RATIO = 0.2, 3.0
 """The unit of the gyro has changed if the ratio of the gyro noise now to the gyro noise before
-agrees with the conversion factor of another unit within the first relative error, and the same
-ratio of the accelerometer noise is at most the second number."""
+agrees with the conversion factor of another unit within the first relative error, and the ratio of
+the accelerometer noise now to the accelerometer noise before is at most the second number."""
 
 NO_AXES = np.zeros(0)
 
@@ -74,8 +74,8 @@ SAME_SUMS = 1e-6
 """Largest relative difference, due to rounding, between the Allan sums of two equal axes."""
 
 WEIGHTLESS = 0.05
-"""If a mean acceleration at rest is below this fraction of gravity, whatever its unit is, gravity
-was removed from the data."""
+"""Gravity was removed from the data if a mean acceleration at rest is below this fraction of
+gravity, whatever the unit of the data is."""
 
 
 @dataclass
@@ -124,8 +124,9 @@ class Event(NamedTuple):
 
     ``kind`` is 'shock', 'motion', 'stuck' (an axis repeats one value), 'noise_increased' (the noise
     increased at rest) or 'noise_decreased' (the noise of an axis became much smaller, or the axis
-    was clipped). ``changes`` maps the axes whose mean changed by more than their noise to this
-    change, in the unit of the samples. A changed mean of the accelerometer indicates a tilt.
+    was clipped). ``changes`` maps each axis whose mean changed by more than its noise explains to
+    the change of the mean, in the unit of the samples. A changed mean of the accelerometer
+    indicates a tilt.
     """
 
     kind: str
@@ -355,7 +356,7 @@ def _is_accel(axis: str) -> bool:
 def _times(events: list[Event], health: StreamHealth) -> str:
     """Return a text with the times of at most three events in s since the first sample.
 
-    It ends with the number of further events, if there are any.
+    The text ends with the number of further events, if there are any.
     """
     start = health.first_ns or 0
     times = [f'{(event.start_ns - start) * 1e-9:.0f} s' for event in events]

@@ -148,9 +148,10 @@ class MotionGate:
     def noise(self) -> dict[str, float]:
         """Axis -> present standard deviation of the white noise; empty if the IMU moves.
 
-        It is computed from the differences of neighboring samples in the latest windows, if all of
-        these windows are at rest, or if their noise is larger without a motion. When a noise level
-        has just begun, it is the noise when the level began. Before the first windows, it is empty.
+        The noise is computed from the differences of neighboring samples in the latest
+        `CHECKED_WINDOWS` windows. These must be at rest, or have larger noise without a motion.
+        While the present noise level has fewer windows, the noise at its start is returned. The
+        result is empty before the first windows.
         """
         recent = self._recent.last(CHECKED_WINDOWS)
         if len(recent) < CHECKED_WINDOWS:  # the noise level has just begun
@@ -166,7 +167,7 @@ class MotionGate:
     def increases(self) -> dict[str, float]:
         """Axis -> largest ratio of the increased noise at rest to the noise floor.
 
-        Only ratios above 1 are included. It is empty if the noise of no axis was increased.
+        Only ratios above 1 are included. The result is empty if the noise of no axis increased.
         """
         return self._named(self._levels.largest_ratio)
 

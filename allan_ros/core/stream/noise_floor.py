@@ -212,7 +212,10 @@ class NoiseFloor:
 
     @property
     def heavy(self) -> Flags:
-        """Which axes have noise with heavy tails, (axes,): large values on them are no spikes."""
+        """Which axes have noise with heavy tails, (axes,).
+
+        On these axes, isolated large values are noise, not spikes.
+        """
         return np.asarray(self.outliers >= max(LEAST_HEAVY, HEAVY_SHARE * self.examined))
 
     def with_outliers(self, rows: Floats) -> NoiseFloor:

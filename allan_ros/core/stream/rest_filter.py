@@ -7,7 +7,7 @@ Method
 An isolated spike is replaced by the mean of its neighbors, unless the noise of the axis has heavy
 tails. A motion begins with a window above the limits of the noise floor, and ends after some
 windows below lower limits. A shock is a short motion that does not change the mean of any axis. A
-shock is replaced by a line between the means before and after it, so that the segment continues.
+shock is replaced by a line between the means before and after the shock. The segment continues.
 The windows of a motion that may be a shock are held until the motion ends. `ImuBatch.filled` marks
 replaced samples.
 """

@@ -4,9 +4,10 @@
 
 Repeated samples
 ----------------
-Drivers that publish a slower accelerometer in every gyro message repeat its last sample (sample and
-hold), or fill it with zeros. Both change the noise (N of a 250 Hz accelerometer repeated at 400 Hz
-is 5 % too high). Each such sensor becomes a separate stream that contains only its measurements.
+Drivers that publish a slower accelerometer in every gyro message repeat the last sample of the
+accelerometer (sample-and-hold), or fill in zeros. Both change the noise (N of a 250 Hz
+accelerometer repeated at 400 Hz is 5 % too high). Such a sensor gets a separate stream, which
+contains only the measurements.
 Samples that a driver repeats at random, because the sensor had no new data, are interpolated.
 """
 

@@ -70,9 +70,9 @@ step by at most the second fraction of the median step, and if almost all other 
 `POLLED_SHARE`) are longer than `LATE` median steps."""
 
 UNEVEN = 2.0
-"""The mean step over a run and the pause before it is computed for each run. If these mean steps
-differ by more than this factor, the samples are not late. Late samples have the same mean step in
-each burst."""
+"""For each run of evenly spaced stamps, the mean step over the run and the pause before the run is
+computed. If these mean steps differ by more than this factor, the samples are not late. Late
+samples have the same mean step in each burst."""
 
 DECLARED_RANGE = 0.25
 """The declared rate is used for bursty stamps if the mean rate differs from it by less than this
@@ -94,8 +94,8 @@ PHASE_GAP = 16.0
 """Longest pause, in periods, after which the phase of the samples is assumed to continue."""
 
 PHASE_STEP = 0.25
-"""Step between two periods that `rayleigh_period` tries, stated as the change of the phase, in
-cycles, from the first to the last stamp."""
+"""`rayleigh_period` tries periods in steps that change the number of cycles between the first and
+the last stamp by this value."""
 
 
 @dataclass(frozen=True)
@@ -474,8 +474,9 @@ class SampleClock:
         index = np.cumsum(steps[int(np.argmax(np.cumsum(steps == 0))) :])
         stamps = self._samples.stamps_ns
         stamps_after = stamps[begin : begin + self._reach]
-        jumps = np.flatnonzero(np.diff(stamps_after) < 0)
-        stamps_after = stamps_after[: int(jumps[0]) + 1 if len(jumps) else None]
+        backward_steps = np.flatnonzero(np.diff(stamps_after) < 0)
+        if len(backward_steps):
+            stamps_after = stamps_after[: int(backward_steps[0]) + 1]
         period, origin = clock.period_ns, stamps[begin - 1]
         delay_before = (stamps[begin - len(index) : begin] - origin) - period * (index - index[-1])
         # delays of the samples after the pause, if no sample was lost in the pause
