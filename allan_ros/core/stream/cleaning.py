@@ -35,9 +35,10 @@ BACKWARD_RUN = 16
 set back. Fewer such samples are excluded."""
 
 JUMP_DISTANCE = 4096
-"""If the clock is set back within this number of samples after the start or after the last time, the
-number of earlier stamps in a row that is required the next time is doubled. Otherwise, this number
-is `BACKWARD_RUN`. Without the doubling, stamps in random order would split the data very often."""
+"""If the clock is set back within this number of samples after the start or after the last time,
+the number of earlier stamps in a row that is required the next time is doubled. Otherwise, this
+number is `BACKWARD_RUN`. Without the doubling, stamps in random order would split the data very
+often."""
 
 REORDER = 32
 """Largest number of places by which sorting moves a sample that arrived out of order."""

@@ -141,7 +141,7 @@ class DriveRecorder:
         return Drives(drives, unused)
 
     def _begin_rest(self, block: ImuBatch) -> None:
-        """End the previous rest and the drive after it, because ``block`` begins a new rest."""
+        """End the previous rest and the drive after that rest: ``block`` begins a new rest."""
         self._complete()
         begin_ns = int(block.stamps_ns[0])
         first_rest = self._mean(self._last, latest=True)
@@ -192,7 +192,7 @@ class DriveRecorder:
         self._follows = True
 
     def _errors(self, pending: _Pending, second_rest: Rest) -> DriveErrors:
-        """Return the errors of a drive, from means of samples at `MOST_RATE` or less."""
+        """Return the errors of a drive, computed from its samples averaged down to `MOST_RATE`."""
         rows, k = pending.rows, max(math.ceil(1.0 / (self._tau0 * MOST_RATE) - 1e-9), 1)
         # up to k - 1 samples at the end of the drive are omitted; the IMU is already at rest then,
         # because the detected rest begins some time after the motion

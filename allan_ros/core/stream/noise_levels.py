@@ -201,7 +201,7 @@ class NoiseLevels:
         self._begin(floor)
 
     def try_another(self, floor: NoiseFloor, change: Change, began_ns: int) -> None:
-        """Begin another level, which is on trial, and keep the level that is the result."""
+        """Begin another level on trial, and keep the level whose sums are the result."""
         if self.is_tried:
             self._dropped.add(self.present.counted_as(self.change))
         else:
@@ -235,7 +235,7 @@ class NoiseLevels:
         self._forget_ratios()
 
     def add_increase(self, ratio: Floats) -> None:
-        """Update ``largest_ratio`` with the ratios of increased noise to the floor, (axes,)."""
+        """Update ``largest_ratio`` with ratios of increased noise to the noise floor, (axes,)."""
         self.largest_ratio = np.maximum(self.largest_ratio, ratio)
 
     def add_decrease(self, variance: Floats, decreased: Flags, floor: Floats) -> None:

@@ -22,9 +22,10 @@ windows, and the standard deviation in the windows, are at most this fraction of
 the mean acceleration."""
 
 LARGER_NOISE = 1.3
-"""The noise is reported as larger if its standard deviation now exceeds the Allan deviation at one
-sample period by more than this factor. The standard deviation has an error of 4 % from 8 windows of
-50 samples, and of 8 % from 8 windows of 16 samples."""
+"""The noise of an axis is reported as larger than before if the standard deviation of the white
+noise now exceeds the Allan deviation at one sample period by more than this factor. The standard
+deviation has an error of 4 % from 8 windows of 50 samples, and of 8 % from 8 windows of 16
+samples."""
 
 
 def present_faults(
