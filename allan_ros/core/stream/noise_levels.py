@@ -177,7 +177,8 @@ class NoiseLevels:
     def lost_s(self) -> float:
         """Time in s from the first sample at rest to the first sample of the result.
 
-        It is 0 if the result was never replaced.
+        The time is 0 if the result was never replaced. While the result has no samples, the time
+        ends at the last discarded sample.
         """
         if not self.lost:
             return 0.0

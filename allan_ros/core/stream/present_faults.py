@@ -34,7 +34,7 @@ def present_faults(
     """Return the known faults that explain why the latest windows are not at rest.
 
     ``rows``, (axes, n), are the samples of the windows in the unit of the messages, and ``floor``
-    is the noise of the IMU. ``seconds`` is the time since the last sample at rest in s.
+    is the noise of the IMU. ``seconds`` is the time in s for which the IMU has not been at rest.
     """
     findings: list[Finding] = []
     for sensor in SENSORS:

@@ -147,8 +147,9 @@ class SensorStream:
     def lost_s(self) -> float:
         """Time in s from the first sample at rest to the first sample of the result.
 
-        It is 0 if the result was never replaced. After a change of the rate, it is the longest of
-        the times at all rates.
+        The time is 0 if the result was never replaced. While the result has no samples, the time
+        ends at the last discarded sample. After a change of the rate, the longest of the times at
+        all rates is returned.
         """
         return max(self._lost_s, self._levels.lost_s)
 

@@ -406,7 +406,7 @@ def _marked(excluded: list[Excluded], event: Excluded) -> list[Excluded]:
 def _temperature(
     trace: TemperatureTrace, first_ns: int, length: float, offset: float
 ) -> SignalTemperature | None:
-    """Return the temperature during one recording; None if there are fewer than two readings.
+    """Return the temperature during one recording; None for fewer than two readings within it.
 
     The header stamps are used, or the record times if fewer than two header stamps are within the
     recording.

@@ -281,7 +281,10 @@ this fraction of `CLOCK_BLOCK`."""
 
 
 class SampleClock:
-    """Converts samples to evenly spaced blocks; at most one block and the look-ahead are buffered.
+    """Converts samples to evenly spaced blocks.
+
+    After the period is learned, at most one block of samples, and the look-ahead before and after
+    this block, are buffered.
 
     ``clock`` is None until the period is learned from the first samples. Later, the period is
     updated from the stamps, which decrease only where the clock was set back. ``polled`` tells
