@@ -90,9 +90,9 @@ class Finding:
     stated: tuple[str, str] | None = None
 
     def __str__(self) -> str:
-        where = f' ({", ".join(self.axes)})' if self.axes else ''
-        known = (f'{name} {value}' for name, value in self.values.items() if value is not None)
-        return one_line(f'{self.id}{where}: {", ".join(known)}')
+        axes = f' ({", ".join(self.axes)})' if self.axes else ''
+        values = (f'{name} {value}' for name, value in self.values.items() if value is not None)
+        return one_line(f'{self.id}{axes}: {", ".join(values)}')
 
     def document(self) -> dict[str, Any]:
         """Return the finding as a JSON object, with its values in SI."""

@@ -64,7 +64,7 @@ class Coherence(NamedTuple):
 class CommonNoise:
     """Noise of one axis of an IMU, and how much of this noise other IMUs measure at the same time.
 
-    The same type compares two axes of one IMU.
+    An object of this class may also compare two axes of one IMU.
 
     Attributes
     ----------

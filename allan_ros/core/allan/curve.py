@@ -422,7 +422,7 @@ class Spectrum:
     low: Floats  # (points, axes) lower limit of ``psd``
     high: Floats  # (points, axes) upper limit of ``psd``
     bin: NDArray[np.int64]  # (points,) index of the bin of each point, counted over all octaves
-    octaves: int  # number of octaves, up to the octave of the lowest frequency
+    octaves: int  # number of octaves, from octave 0 to the octave of the lowest frequency
     step: NDArray[np.int64]  # (points,) samples per mean in the spectral blocks of each point
 
 

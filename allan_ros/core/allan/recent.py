@@ -112,10 +112,10 @@ def noise_steps(sums: AllanSums, window_s: float) -> dict[str, NoiseStep]:
     # the first row of `count` and `sum_sq` will contain all data before the window
     window_start = latest.samples - window_s / sums.tau0
     begins = [p.begin if r is latest else -1 for r in sums.recordings for p in r.periods]
-    n_before = max(int(np.searchsorted(begins, max(window_start, 0))), 1)
-    count = np.concatenate([count[:n_before].sum(axis=0)[None], count[n_before:]])
-    sum_sq = np.concatenate([sum_sq[:n_before].sum(axis=0)[None], sum_sq[n_before:]])
-    begins = begins[n_before - 1 :]
+    periods_before = max(int(np.searchsorted(begins, max(window_start, 0))), 1)
+    count = np.concatenate([count[:periods_before].sum(axis=0)[None], count[periods_before:]])
+    sum_sq = np.concatenate([sum_sq[:periods_before].sum(axis=0)[None], sum_sq[periods_before:]])
+    begins = begins[periods_before - 1 :]
     if len(begins) < 2 or not factors:
         return {}
     m = sums.m[:factors]
@@ -136,20 +136,21 @@ def noise_steps(sums: AllanSums, window_s: float) -> dict[str, NoiseStep]:
         first, last, k = first_and_last_step
         sides = slice(first), slice(last, None)
         difference_counts = [float(count[side, k].sum()) for side in sides]
-        before, after = (
+        variance_before, variance_after = (
             sum_sq[side, k, i].sum() / (2.0 * float(m[k]) ** 2 * n)
             for side, n in zip(sides, difference_counts)
         )
-        nu, ratio = edf_per_difference[k] * np.array(difference_counts), after / before
+        nu = edf_per_difference[k] * np.array(difference_counts)
+        ratio = variance_after / variance_before
         low, high = (math.sqrt(ratio / fdtri(nu[1], nu[0], q)) for q in (0.975, 0.025))
         since_s = (latest.samples - begins[last]) * sums.tau0
-        tau = float(m[k] * sums.tau0)
-        steps[axis] = NoiseStep(tau, math.sqrt(before), math.sqrt(ratio), (low, high), since_s)
+        tau, adev_before = float(m[k] * sums.tau0), math.sqrt(variance_before)
+        steps[axis] = NoiseStep(tau, adev_before, math.sqrt(ratio), (low, high), since_s)
     return steps
 
 
 def _steps(degrees: Floats, squares: Floats) -> tuple[int, int, int] | None:
-    """Return the indices of the first periods after the first and the last step, and of the factor.
+    """Return indices: of the period after the first step, after the last step, and of the factor.
 
     ``degrees`` are the degrees of freedom, and ``squares`` are the sums of squares, of each period
     and averaging factor, (rows, factors). The first step is the most significant step at all

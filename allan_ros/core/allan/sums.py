@@ -330,7 +330,7 @@ def _excerpt(recording: RecordedPeriods, tau0: float | None, first: int) -> Reco
 
 
 def _clipped(means: BlockMeans, tau0: float, begin: int) -> BlockMeans:
-    """Return the block means from the sample with the index ``begin`` in the recording on."""
+    """Return the block means from the sample with the index ``begin`` of the recording on."""
     step = means.step
     first_mean = min(max(-((means.age - begin) // step), 0), len(means.values))
     return replace(

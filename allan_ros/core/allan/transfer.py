@@ -116,8 +116,9 @@ def _leak(spectra: Spectra, blocks: float) -> float:
     """Return the largest share of the common signal in the power of a difference of two sensors.
 
     The difference of each pair of sensors is compared with the sum of the other sensors. Pairs for
-    which the difference or this sum has no power at some frequency are excluded. The result is at
-    least 0. ``blocks`` is the number of independent blocks of the ``spectra``.
+    which the difference or this sum has no power at some frequency are excluded. If there are only
+    two sensors, the sum of both is used instead. The result is at least 0. ``blocks`` is the number
+    of independent blocks of the ``spectra``.
     """
     sensor_count = spectra.shape[1]
     shares = [0.0]

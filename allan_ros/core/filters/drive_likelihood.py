@@ -140,9 +140,9 @@ class DriveFit(NamedTuple):
         """
         drives = len(self.scores)
         covariance = np.linalg.inv(self.information)
-        spread = self.scores.T @ self.scores * (drives / (drives - 2))
-        robust = covariance @ spread @ covariance
-        return np.asarray(np.sqrt(np.maximum(np.diag(covariance), np.diag(robust))))
+        score_products = self.scores.T @ self.scores * (drives / (drives - 2))
+        robust_covariance = covariance @ score_products @ covariance
+        return np.asarray(np.sqrt(np.maximum(np.diag(covariance), np.diag(robust_covariance))))
 
 
 @dataclass(frozen=True)

@@ -187,8 +187,8 @@ def reduce_model(model: Model, states: States = 'walk', horizon: float = HORIZON
     """
     complete = model.drift
     reductions = [_reduced(complete, 0, states, horizon)]
-    fast = len(_by_time(complete))
-    while states == 'walk' and reductions[-1].poor and len(reductions) <= fast:
+    stationary_count = len(_by_time(complete))
+    while states == 'walk' and reductions[-1].poor and len(reductions) <= stationary_count:
         reductions.append(_reduced(complete, len(reductions), states, horizon))
     return min(reductions, key=lambda reduction: reduction.poor * reduction.ratio[1])
 
@@ -199,9 +199,9 @@ def _by_time(model: Model) -> list[Process]:
     return sorted(stationary, key=lambda process: process.slowest_time)
 
 
-def _reduced(complete: Model, fast: int, states: States, horizon: float) -> Reduction:
-    """Return the reduced-order model in which the ``fast`` fastest processes are white noise."""
-    fast_processes = _by_time(complete)[:fast]
+def _reduced(complete: Model, fast_count: int, states: States, horizon: float) -> Reduction:
+    """Return the reduced-order model with the ``fast_count`` fastest processes as white noise."""
+    fast_processes = _by_time(complete)[:fast_count]
     added_variance = sum(
         (part.value * white_density(part.process)) ** 2
         for part in complete.parts

@@ -402,7 +402,7 @@ without steps, the 99 % quantiles of the gain are 11 to 22, depending on the noi
 (`bench/bench_stationarity.py`)."""
 
 MOST_STEPS = 5
-"""Largest number of steps of an axis."""
+"""Largest number of steps of the bias of an axis."""
 
 STEPS_RATIO = 0.5
 """Largest variance of the random walk in a model with steps, relative to the variance in a model

@@ -165,11 +165,11 @@ def _ramp(ramp: RampEstimate | None) -> Estimate:
         return UNKNOWN
     size, half_width = abs(ramp.value), ramp.half_width
     if size > RESOLVED_HALF_WIDTHS * half_width:
-        found = Estimate(size, (max(size - half_width, 0.0), size + half_width))
+        estimate = Estimate(size, (max(size - half_width, 0.0), size + half_width))
     else:
         limit = size + half_width if math.isfinite(half_width) else None
-        found = Estimate(size or None, None, limit, 'not_observable')
-    return found.times(-1.0) if ramp.value < 0.0 else found
+        estimate = Estimate(size or None, None, limit, 'not_observable')
+    return estimate.times(-1.0) if ramp.value < 0.0 else estimate
 
 
 def _ramp_of_model(ramp: RampEstimate | None, resolved: bool) -> float:

@@ -76,26 +76,26 @@ DISTURBED_SHARE = 0.5
 def axis_findings(sums: AllanSums, axis: int, fit: AxisFit, tau0: float) -> list[Finding]:
     """Return the findings about the fit of one axis; ``tau0`` is the sample period in s."""
     name = (sums.axes[axis],)
-    found = []
+    findings = []
     if fit.filtered:
-        found.append(finding('low_pass', name, frequency=4.0 / (fit.m_min * tau0)))
+        findings.append(finding('low_pass', name, frequency=4.0 / (fit.m_min * tau0)))
     shaped = fit.model.shaped.parts
     sinusoids = [part for part in shaped if part.process.is_line]
-    found += [line_finding(name, group, tau0) for group in with_harmonics(sinusoids)]
+    findings += [line_finding(name, group, tau0) for group in with_harmonics(sinusoids)]
     for process, value, *_ in shaped:
         if not process.is_line:
-            found.append(finding(process.finding, name, **process.facts(value)))
+            findings.append(finding(process.finding, name, **process.facts(value)))
     white = fit.noise['N'].value
     step = rounding_step(sums, axis, white**2 / tau0) if white else None
     is_counter = any(part.process.letter == 'Q' for part in shaped)
     if step is not None and white and not is_counter:
         share = step * step / 12.0 / (white**2 / tau0)
-        found.append(finding('rounding', name, step=step, share=min(share, 1.0)))
+        findings.append(finding('rounding', name, step=step, share=min(share, 1.0)))
     advice = recommended_duration(fit, sums.longest * tau0)
     if advice is not None:
         seconds, terms = advice
-        found.append(finding('record_longer', name, terms=' and '.join(terms), how_long=seconds))
-    return found
+        findings.append(finding('record_longer', name, terms=' and '.join(terms), how_long=seconds))
+    return findings
 
 
 def with_deviations(model: NoiseModel, curve: AllanCurve) -> NoiseModel:
@@ -104,7 +104,7 @@ def with_deviations(model: NoiseModel, curve: AllanCurve) -> NoiseModel:
     A finding is added for each axis with a lack of fit. The finding states the octave with the
     largest difference between data and model, and this difference.
     """
-    axes, found = {}, []
+    axes, new_findings = {}, []
     for i, name in enumerate(curve.axes):
         fit = model.axes[name]
         line = model_line(fit, model.tau0, curve.m)
@@ -112,10 +112,10 @@ def with_deviations(model: NoiseModel, curve: AllanCurve) -> NoiseModel:
         if fit.lack_of_fit:
             worst = max(fit.lack_of_fit, key=lambda each: abs(math.log(each.ratio)))
             relative_deviation = math.sqrt(worst.ratio) - 1.0
-            found.append(
+            new_findings.append(
                 finding('lack_of_fit', (name,), frequency=worst.low, deviation=relative_deviation)
             )
-    return replace(model, axes=axes, findings=(*model.findings, *merge_equal(found)))
+    return replace(model, axes=axes, findings=(*model.findings, *merge_equal(new_findings)))
 
 
 def with_harmonics(lines: Sequence[Part]) -> list[list[Part]]:

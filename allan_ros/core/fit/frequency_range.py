@@ -116,11 +116,11 @@ class SelectedModel(NamedTuple):
     def lack_of_fit(self, tau0: float) -> tuple[LackOfFit, ...]:
         """Return the octaves that differ from the model; ``tau0`` is the sample period in s."""
         statistics = self.rules.data.statistics
-        found = []
+        octaves_with_lack = []
         for o, ratio in sorted(self.lack.items()):
             f = statistics.f[statistics.octave == o] / tau0
-            found.append(LackOfFit(float(f[0]), float(f[-1]), ratio))
-        return tuple(found)
+            octaves_with_lack.append(LackOfFit(float(f[0]), float(f[-1]), ratio))
+        return tuple(octaves_with_lack)
 
     @property
     def low_pass(self) -> float:
@@ -195,15 +195,15 @@ def estimate(
     base = (rounding or RANDOM_TERMS[Q], *RANDOM_TERMS[Q + 1 :])
     if possible is None:
         return _estimate(Selection(data, candidates, base))
-    found = _estimate(Selection(data, candidates, (*base, possible)))
+    selected = _estimate(Selection(data, candidates, (*base, possible)))
     at = len(RANDOM_TERMS)
-    others = (*found.fit.components[:at], *found.fit.components[at + 1 :])
-    signed = tuple(i - (i > at) for i in found.fit.signed)
-    fit_without_process = found.rules.data.solve(
-        others, None, np.delete(found.fit.p, at), signed=signed
+    others = (*selected.fit.components[:at], *selected.fit.components[at + 1 :])
+    signed = tuple(i - (i > at) for i in selected.fit.signed)
+    fit_without_process = selected.rules.data.solve(
+        others, None, np.delete(selected.fit.p, at), signed=signed
     )
-    if fit_without_process.value - found.fit.value > GAIN_RESOLVED:
-        return found
+    if fit_without_process.value - selected.fit.value > GAIN_RESOLVED:
+        return selected
     return _estimate(Selection(data, candidates, base))
 
 
@@ -386,7 +386,10 @@ def _deviances(data: AxisData, fit: Fit) -> dict[int, tuple[float, float]]:
 
 
 def _tail(deviance: float, number: float) -> float:
-    """Return the tail probability of chi-squared with ``number`` degrees of freedom."""
+    """Return the probability that chi-squared exceeds ``deviance``.
+
+    Chi-squared has ``number`` degrees of freedom.
+    """
     from scipy.special import gammaincc
 
     return float(gammaincc(number / 2.0, deviance / 2.0))

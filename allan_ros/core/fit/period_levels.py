@@ -151,10 +151,12 @@ class PeriodLevels:
             sum_before = np.cumsum((dof * power)[begin:])[:-1]
             total = (dof * power)[begin:].sum()
             with np.errstate(divide='ignore', invalid='ignore'):
-                before, after = sum_before / dof_before, (total - sum_before) / dof_after
+                level_before = sum_before / dof_before
+                level_after = (total - sum_before) / dof_after
                 mean = total / dof[begin:].sum()
-                gain = dof_before * np.log(mean / before) + dof_after * np.log(mean / after)
-                is_large = np.abs(np.log(after / before)) / 2.0 > np.log1p(LEAST_CHANGE)
+                gain = dof_before * np.log(mean / level_before)
+                gain += dof_after * np.log(mean / level_after)
+                is_large = np.abs(np.log(level_after / level_before)) / 2.0 > np.log1p(LEAST_CHANGE)
             gain = np.where(np.isfinite(gain) & is_large, gain, 0.0)
             at = int(gain.argmax())
             if not _tail(float(gain[at]), 1, spread, len(dof)) * len(dof) < LEVEL_CHANGES:
@@ -206,18 +208,19 @@ class PeriodLevels:
         The usual N before this time is compared with the mean N after it. A decrease of N counts
         like an increase by the same factor.
         """
-        before, after = self.usual(axis, at), self.mean(axis, slice(at, None))
-        if not (before > 0.0 and after > 0.0):  # no noise before or after the change
+        level_before, level_after = self.usual(axis, at), self.mean(axis, slice(at, None))
+        if not (level_before > 0.0 and level_after > 0.0):  # no noise before or after the change
             return 0.0
-        ratio = after / before
+        ratio = level_after / level_before
         return float(np.sqrt(max(ratio, 1.0 / ratio)) - 1.0)
 
 
 def _tail(statistic: float, number: int, spread: float, periods: int) -> float:
-    """Return the tail probability of chi-squared with ``number`` degrees of freedom.
+    """Return the probability that chi-squared exceeds a statistic.
 
-    The statistic is first divided by ``spread``. A spread above 1 is an estimate with `SPREAD_DOF`
-    degrees of freedom for each of the ``periods``, so an F distribution is then used.
+    Chi-squared has ``number`` degrees of freedom. The statistic is first divided by ``spread``. A
+    spread above 1 is an estimate with `SPREAD_DOF` degrees of freedom for each of the ``periods``,
+    so an F distribution is then used.
     """
     from scipy.special import chdtrc, fdtrc
 
@@ -444,10 +447,10 @@ def _prediction(fit: AxisFit, tau0: float, step: int, number: int) -> tuple[Floa
 
 
 def _innovations(whitening: Floats, differences: Floats, effects: Floats) -> Floats:
-    """Return the innovations, (n,), of differences of block means, (n,), without some effects.
+    """Return the innovations, (n,), of differences of block means, after effects are subtracted.
 
-    ``whitening`` is the first result of `_prediction`. Each column of ``effects``, (n, effects), is
-    one effect, whose size is fitted.
+    ``whitening`` is the first result of `_prediction`. ``differences`` are (n,). Each column of
+    ``effects``, (n, effects), is one effect, whose size is fitted.
     """
     n = len(differences)
     whitened = whitening[:n, :n] @ np.column_stack([effects, differences])

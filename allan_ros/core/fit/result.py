@@ -88,7 +88,7 @@ class AxisFit:
     white_scatter, drift_scatter : float
         Half of the width of the 95 % interval of the logarithm of the amplitude in another hour of
         the same sensor, for white noise and for drift; 0 if the levels within the recording do not
-        vary.
+        differ significantly.
     gof_z : float or None
         Goodness of fit of the model as a normal deviate; None if the method has no test.
     lack_of_fit : tuple of LackOfFit

@@ -102,7 +102,7 @@ class Selection:
         return replace(self.candidates.search, shortest=self.shortest)
 
     def fit(self, components: Sequence[Process], p: Floats | None = None) -> Fit:
-        """Return the fit of some components.
+        """Return the fit of a model that consists of the given components.
 
         ``p``, (components,), are the coefficients to start from, in units of `AxisData.scale`.
         """

@@ -220,7 +220,7 @@ class Group(NamedTuple):
 
     @classmethod
     def of(cls, size: Size, pieces: Floats) -> Group:
-        """Return the contrasts of segments.
+        """Return the contrasts of the block means of segments of one size.
 
         ``size`` are the numbers that determine the contrasts. ``pieces`` are the block means,
         (segments, axes, points), in the unit of the samples.
