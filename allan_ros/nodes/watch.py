@@ -304,14 +304,14 @@ class Watch(Node):
     def _hint(self) -> str:
         """Return a text that explains what to check if no status is received."""
         count = len(self.get_publishers_info_by_topic(TOPIC))
-        others = f' (other nodes: {count})' if count else ''
+        other_nodes_text = f' (other nodes: {count})' if count else ''
         discovery_settings = [
             f'{name}={os.environ[name]}' for name in DISCOVERY if os.environ.get(name)
         ]
         return (
-            f'no allan_ros node publishes on {TOPIC}{others}. Start one: ros2 launch allan_ros '
-            'allan_ros.launch.py imu:=/your/imu. If one is running, it must have the same '
-            f'discovery settings; here: {" ".join(discovery_settings) or "all defaults"}.'
+            f'no allan_ros node publishes on {TOPIC}{other_nodes_text}. Start one: ros2 launch '
+            'allan_ros allan_ros.launch.py imu:=/your/imu. If one is running, it must have the '
+            f'same discovery settings; here: {" ".join(discovery_settings) or "all defaults"}.'
         )
 
 

@@ -133,7 +133,7 @@ def _named(path: Path, survey: Survey, wanted: str) -> TopicKey:
 
 def _no_imu(path: Path, survey: Survey) -> AllanError:
     truncation = survey.truncation
-    read = (
+    truncation_text = (
         f'; only {truncation.read} of {truncation.size} bytes could be read (copy it again)'
         if truncation
         else ''
@@ -141,7 +141,7 @@ def _no_imu(path: Path, survey: Survey) -> AllanError:
     keys_by_count = sorted(survey.topics, key=lambda key: (-survey.counts[key], key))
     return AllanError(
         f'{path}: no sensor_msgs/Imu topic; it has {survey.listed(keys_by_count) or "no topic"}'
-        f'{read}: record the topic of the IMU'
+        f'{truncation_text}: record the topic of the IMU'
     )
 
 
@@ -203,8 +203,8 @@ class _Reader:
         stated_counts = bag.described.counts if bag.described else {}
         for file in bag.files:
             storage = bag.storage(file)
-            if cut := storage.truncation:
-                report(finding('bag_cut', path=file, read=cut.read, size=cut.size))
+            if truncation := storage.truncation:
+                report(finding('bag_cut', path=file, read=truncation.read, size=truncation.size))
             samples_of_file = 0
             for batch in _rebatched(self._decoded(file, self._blocks(storage))):
                 samples_of_file += len(batch)

@@ -161,7 +161,8 @@ class Motion:
         self.level = level
         self.windows = 0  # number of windows of the motion
         self.quiet = 0  # number of quiet windows at the end of the motion (see `WindowClass`)
-        self.steady = 0  # number of quiet or only rotating windows at the end of the motion
+        # number of windows at the end of the motion that are quiet or only rotating
+        self.steady = 0
 
         # whether the axes of the accelerometer were exchanged, or changed their signs
         self.axes_changed = False
