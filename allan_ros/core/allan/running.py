@@ -68,7 +68,7 @@ class _RunningPeriod:
 
 
 class _SegmentSums(NamedTuple):
-    """Sums over blocks of ``step`` samples of a segment, from which its block means are computed.
+    """Sums over blocks of ``step`` samples of a segment, for the block means of the segment.
 
     ``sums`` are (axes, blocks). The last block may have fewer samples.
     """

@@ -430,5 +430,6 @@ def _bias_scatter(slow: DriftCovariance, drives: Sequence[DriveErrors]) -> float
     start_times = np.array([each.start for each in drives])
     averaging_s = 10.0
     lags = np.abs(start_times[:, None] - start_times) / averaging_s
-    at_lags, at_zero = slow(averaging_s, np.maximum(lags, 1.0)), slow(averaging_s, np.zeros(1))
-    return float(np.mean((at_zero[0] - np.asarray(at_lags)) * np.minimum(lags, 1.0)))
+    (variance,) = np.asarray(slow(averaging_s, np.zeros(1)))
+    covariances = np.asarray(slow(averaging_s, np.maximum(lags, 1.0)))
+    return float(np.mean((variance - covariances) * np.minimum(lags, 1.0)))

@@ -127,7 +127,7 @@ class LowBand(NamedTuple):
     """
 
     segments: int  # number of segments
-    gram: Floats  # (contrasts, contrasts) sum of z z' over the segments
+    gram: Floats  # (contrasts, contrasts) outer product of z with itself, summed over the segments
     points: int = 0  # number of block means of each segment
 
 

@@ -216,7 +216,8 @@ class Group(NamedTuple):
     size: Size
     segments: int  # number of segments
     sums: Floats  # (axes, contrasts) sum of the contrasts z over the segments
-    gram: Floats  # (axes, contrasts, contrasts) sum of z z' over the segments
+    # (axes, contrasts, contrasts) outer product of z with itself, summed over the segments
+    gram: Floats
 
     @classmethod
     def of(cls, size: Size, pieces: Floats) -> Group:
