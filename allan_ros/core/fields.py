@@ -229,8 +229,8 @@ class Fields:
         there. Keys of fields with a default may be missing.
         """
         if (from_document := getattr(kind, 'from_document', None)) is not None:
-            read: T = from_document(self)
-            return read
+            result: T = from_document(self)
+            return result
         defaults = getattr(kind, '_field_defaults', vars(kind))
         for name, hint in _hints(kind).items():  # type: ignore[arg-type]
             key = name if name in self else self._names.get(name, name)

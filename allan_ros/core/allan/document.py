@@ -71,8 +71,8 @@ def sums_to_document(sums: AllanSums) -> dict[str, Any]:
 
 def checksum_of(document: Mapping[str, Any]) -> str:
     """Return the checksum of a document without its `TEXT_KEYS`, as 16 hex digits."""
-    covered = {key: value for key, value in document.items() if key not in TEXT_KEYS}
-    text = json.dumps(covered, sort_keys=True, separators=(',', ':'))
+    covered_values = {key: value for key, value in document.items() if key not in TEXT_KEYS}
+    text = json.dumps(covered_values, sort_keys=True, separators=(',', ':'))
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
@@ -135,20 +135,20 @@ def _array(fields: Fields, key: str, shape: tuple[int, ...], least: Any, most: A
 
     The numbers are float64 if ``least`` is a float or an array of floats, else int64.
     """
-    where, number = f'{fields.where}.{key}', math.prod(shape)
+    location, number = f'{fields.where}.{key}', math.prod(shape)
     text = fields.text(key, longest=12 * number + 100)
     try:
         decompressor = zlib.decompressobj()
         data = decompressor.decompress(base64.b64decode(text, validate=True), 8 * number + 1)
     except (ValueError, zlib.error) as error:
-        raise AllanError(f'{where} cannot be unpacked: {error!r}') from error
+        raise AllanError(f'{location} cannot be unpacked: {error!r}') from error
     if not decompressor.eof or len(data) != 8 * number:
-        raise AllanError(f'{where} does not have the expected {number} numbers')
+        raise AllanError(f'{location} does not have the expected {number} numbers')
     dtype = '<f8' if np.asarray(least).dtype.kind == 'f' else '<i8'
     bytes_by_place = np.frombuffer(data, np.uint8).reshape(8, number)
     values = np.ascontiguousarray(bytes_by_place.T).view(dtype).reshape(shape)
     if not np.all((least <= values) & (values <= most)):  # NaN is not in the range, either
-        raise AllanError(f'{where} has numbers outside of the expected range')
+        raise AllanError(f'{location} has numbers outside of the expected range')
     return values.astype(dtype[1:])
 
 

@@ -180,8 +180,10 @@ def _step_ratios(degrees: Floats, squares: Floats) -> Floats:
     nu = degrees, degrees[-1] - degrees, degrees[-1]
     sums = squares, squares[-1] - squares, squares[-1]
     with np.errstate(invalid='ignore', divide='ignore'):
-        of_rows_before, of_rows_after, of_all_rows = (n * np.log(p / n) for n, p in zip(nu, sums))
-        doubled_log_ratio = of_all_rows - of_rows_before - of_rows_after
+        deviance_before, deviance_after, deviance_without_step = (
+            n * np.log(p / n) for n, p in zip(nu, sums)
+        )
+        doubled_log_ratio = deviance_without_step - deviance_before - deviance_after
     has_enough_data = (
         (nu[0] >= MIN_STEP_EDF) & (nu[1] >= MIN_STEP_EDF) & (sums[0] > 0.0) & (sums[1] > 0.0)
     )

@@ -88,8 +88,8 @@ class FilterLevel(NamedTuple):
     @property
     def value(self) -> float:
         """Number for the state estimator: a resolved estimate, else its upper limit."""
-        known = self.estimate
-        return (known.value if known.resolved else known.upper95) or 0.0
+        estimate = self.estimate
+        return (estimate.value if estimate.resolved else estimate.upper95) or 0.0
 
     @property
     def is_limit(self) -> bool:
@@ -99,8 +99,8 @@ class FilterLevel(NamedTuple):
     @property
     def no_interval(self) -> bool:
         """Whether the value is a resolved estimate that has no interval and was not increased."""
-        known = self.estimate
-        return known.resolved and known.ci95 is None and self.raised_from is None
+        estimate = self.estimate
+        return estimate.resolved and estimate.ci95 is None and self.raised_from is None
 
     @property
     def interval(self) -> tuple[float, float]:
@@ -115,8 +115,8 @@ class FilterLevel(NamedTuple):
         """
         if self.is_limit:
             return FilterLevel(replace(self.estimate, upper95=value), fitted)
-        known = replace(self.estimate, value=value, recording_ci95=ci95, predictive_ci95=None)
-        return FilterLevel(known, fitted)
+        estimate = replace(self.estimate, value=value, recording_ci95=ci95, predictive_ci95=None)
+        return FilterLevel(estimate, fitted)
 
 
 class Reduction(NamedTuple):

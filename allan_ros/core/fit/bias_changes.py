@@ -340,10 +340,10 @@ def settling(sums: AllanSums, known: Statistics, axes: Sequence[int]) -> SensorS
         segment = SegmentStatistics.of(known, first_means, tau0)
         if segment is not None:
             axis_segments = {a: segment.axis(a) for a in axes}
-            noise = {a: one for a, one in axis_segments.items() if one is not None}
+            noise = {a: fitted for a, fitted in axis_segments.items() if fitted is not None}
             if noise:
                 sensors[i] = _Sensor(segment, noise)
-    best_times = [one.best_time() for one in sensors.values()]
+    best_times = [sensor.best_time() for sensor in sensors.values()]
     time, gain = max(best_times, key=lambda each: each[1], default=(0.0, 0.0))
     if gain < GAIN_SETTLING:
         return None
@@ -352,19 +352,19 @@ def settling(sums: AllanSums, known: Statistics, axes: Sequence[int]) -> SensorS
     largest_left = 0.0
     for i, sensor in sensors.items():
         effects = sensor.effects(time)
-        if sum(max(one.gain, 0.0) for one in effects.values()) < GAIN_SETTLING:
+        if sum(max(fitted.gain, 0.0) for fitted in effects.values()) < GAIN_SETTLING:
             continue  # this recording has no settling
         recording, segment = sums.recordings[i], sensor.segment
         elapsed_samples = elapsed(recording, segment.means, tau0)
         size = np.zeros(len(sums.axes))
-        for axis, one in effects.items():
-            if max(one.gain, 0.0) < GAIN_SETTLING / len(effects) / 2.0:
+        for axis, fitted in effects.items():
+            if max(fitted.gain, 0.0) < GAIN_SETTLING / len(effects) / 2.0:
                 continue
-            size[axis] = float(one.sizes[0]) * math.exp(min(elapsed_samples / time, 50.0))
+            size[axis] = float(fitted.sizes[0]) * math.exp(min(elapsed_samples / time, 50.0))
             settling_axes.add(axis)
-            remaining = abs(float(one.sizes[0])) * math.exp(-segment.means.samples / time)
+            remaining = abs(float(fitted.sizes[0])) * math.exp(-segment.means.samples / time)
             largest_left = max(
-                largest_left, remaining / sensor.noise[axis].deviation(one.fit, time)
+                largest_left, remaining / sensor.noise[axis].deviation(fitted.fit, time)
             )
         sizes[i] = size
     return SensorSettling(Settling(time, sizes), tuple(sorted(settling_axes)), gain, largest_left)

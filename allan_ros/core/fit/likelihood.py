@@ -392,12 +392,12 @@ def profile_interval(
         start = fit.p.copy()
         start[free] += covariance / error**2 * (value - estimate)
         start = np.where(flags(len(start), fit.signed), start, np.maximum(start, 0.0))
-        new = data.solve(
+        new_fit = data.solve(
             fit.components, fit.columns, start, {i: value}, fit.signed, rounds=10, tolerance=1e-2
         )
-        if not math.isfinite(new.value):
+        if not math.isfinite(new_fit.value):
             return 1e3
-        return math.sqrt(max(new.value - fit.value, 0.0))
+        return math.sqrt(max(new_fit.value - fit.value, 0.0))
 
     z = math.sqrt(LEVEL_95)
     if i in fit.signed:

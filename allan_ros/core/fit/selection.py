@@ -140,13 +140,13 @@ class Selection:
             process = kind.processes[int(gains.argmax())]
             larger_fits.append(self.fit((*fit.components, process), np.append(fit.p, start)))
         best, best_value = None, math.inf
-        for new in sorted(larger_fits, key=self._penalized):
-            gain, threshold = fit.value - new.value, self.threshold(new.components[-1])
+        for new_fit in sorted(larger_fits, key=self._penalized):
+            gain, threshold = fit.value - new_fit.value, self.threshold(new_fit.components[-1])
             if fit.value - gain / PROMISING + threshold > best_value:
                 continue
-            new = self.refined(new, [len(fit.p)], 3)
-            if self._penalized(new) < best_value:
-                best, best_value = new, self._penalized(new)
+            new_fit = self.refined(new_fit, [len(fit.p)], 3)
+            if self._penalized(new_fit) < best_value:
+                best, best_value = new_fit, self._penalized(new_fit)
         if best is None:
             return None
         best = self.refined(self._located(best), range(len(self.base), len(best.p)))
@@ -174,8 +174,8 @@ class Selection:
         for f in frequency + np.arange(-0.5 * width, 0.5 * width, 0.5 / LONGEST_BLOCK):
             if LEAST_PERIODS / self.data.statistics.longest < f < 0.499:
                 moved = last.with_shape({FREQUENCY.name: float(f)})
-                new = self.fit((*fit.components[:-1], moved), fit.p)
-                best = min(best, new, key=lambda each: each.value)
+                new_fit = self.fit((*fit.components[:-1], moved), fit.p)
+                best = min(best, new_fit, key=lambda each: each.value)
         return best
 
     def _with_limits(self, fit: Fit) -> Fit:
@@ -239,9 +239,9 @@ class Selection:
                     step = size * slope / fit.p[k]
                     components[k] = self._moved(components[k], parameter, step)
                 p = np.maximum(fit.p + size * (full_fit.p[:n] - fit.p), 1e-6 * fit.p)
-                new = self.fit(components, p)
-                if new.value < fit.value:
-                    fit = new
+                new_fit = self.fit(components, p)
+                if new_fit.value < fit.value:
+                    fit = new_fit
                     break
             if value_before - fit.value < TOLERANCE:
                 break
@@ -300,14 +300,14 @@ class Selection:
         """
         if fit.p[index] <= 0.0 or self._aliased(fit):
             return fit
-        best = new = fit
+        best = new_fit = fit
         threshold = kind.threshold(max(len(self.data.power), LEAST_BINS))
         for process in kind.grid(self.search):
             components = (*fit.components[:index], process, *fit.components[index + 1 :])
-            new = self.fit(components, new.p)
-            if new.value > best.value + threshold:
+            new_fit = self.fit(components, new_fit.p)
+            if new_fit.value > best.value + threshold:
                 break
-            best = min(best, new, key=lambda each: each.value)
+            best = min(best, new_fit, key=lambda each: each.value)
         if fit.value - best.value < PROMISING * threshold:
             return fit
         best = self.refined(best, [index])
