@@ -56,7 +56,7 @@ QUEUE_DEPTH = 5000
 """Depth of the subscription's queue in messages; ``qos_overrides`` can change it. Fast DDS keeps at
 most this number of messages, which is 0.25 s of messages at 20 kHz, or about 2.5 MB."""
 
-FETCH_S, FETCH_SHARE = 0.2, 0.25
+FETCH_S, FETCH_SHARE = 0.1, 0.25
 """Longest time in s between two fetches, and largest share of the queue that may fill meanwhile."""
 
 BUFFER_BYTES, MESSAGE_BYTES = 2**26, 120

@@ -223,12 +223,13 @@ class Graph:
         for i, payload in enumerate(encode_imus(batch, 'cdr')):
             if self._nodes and i % BURST == 0:
                 self.spin(0.05)
+            deadline = time.monotonic() + PATIENCE_S
             while True:
                 try:
                     publisher.publish(bytes(payload))
                     break
                 except rclpy_implementation.RCLError:
-                    continue
+                    assert time.monotonic() < deadline, f'message {i} could not be published'
 
     def ask(self, kind: Any, service: str, request: Any) -> Any:
         """Call a service of a node and return its response.
