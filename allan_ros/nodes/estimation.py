@@ -239,11 +239,15 @@ class ImuEstimate(NodePart):
             self._fitting = self._worker.submit(partial(_drive_factors, self._results, drives))
 
     def _has_changed(self, sums: tuple[AllanSums, ...]) -> bool:
-        samples, fitted_samples = (
-            max((s.samples for s in x), default=0) for x in (sums, self._fitted)
-        )
-        has_enough_more = samples >= fitted_samples * (1.0 + self._settings.value.growth)
-        return samples > 0 and (has_enough_more or samples < fitted_samples)
+        """Return whether a sensor has enough more samples than at the last fit, or fewer."""
+        growth = 1.0 + self._settings.value.growth
+        fitted_samples = {s.axes: s.samples for s in self._fitted}
+
+        def changed(s: AllanSums) -> bool:
+            fitted = fitted_samples.get(s.axes, 0)
+            return s.samples > 0 and not fitted <= s.samples < growth * fitted
+
+        return any(map(changed, sums))
 
     def _are_new(self, drives: Drives) -> bool:
         """Return whether the drives differ from the drives of the present factors in motion.
