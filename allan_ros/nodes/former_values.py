@@ -107,12 +107,12 @@ class FormerValues:
         fields = Fields(read_json(self.path), str(self.path))
         fields.schema(SCHEMA)
         parameters = fields.fields('parameters')
-        return {name: _former(parameters.fields(name)) for name in parameters}
+        return {name: _former_value(parameters.fields(name)) for name in parameters}
 
 
-def _former(fields: Fields) -> Former:
-    found, count = fields.numbers('found'), len(fields.sequence('sent'))
-    if not np.isfinite(found).all():
+def _former_value(fields: Fields) -> Former:
+    found_numbers = fields.numbers('found')
+    if not np.isfinite(found_numbers).all():
         raise AllanError(f'{fields.where}.found: finite numbers are expected')
-    sent = fields.table('sent', count, len(found))
-    return Former(tuple(found.tolist()), tuple(map(tuple, sent.tolist())))
+    sent_numbers = fields.table('sent', len(fields.sequence('sent')), len(found_numbers))
+    return Former(tuple(found_numbers.tolist()), tuple(map(tuple, sent_numbers.tolist())))

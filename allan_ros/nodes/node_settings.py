@@ -244,7 +244,7 @@ class PushSettings(CheckedSettings):
         high=1e6,
     )
     debiased: bool = parameter(
-        False, 'Whether the driver removes the gyro bias; if true, a gain does not cover the bias.'
+        False, 'Whether the driver removes the gyro bias; if true, gains are computed without it.'
     )
     period: float = parameter(
         300.0, 'Shortest time between two changes of parameters.', 's', 0.1, 604800.0

@@ -57,8 +57,8 @@ def open_ulog(path: Path, options: ReadOptions) -> Recording:
     """Open a PX4 log as a recording of one IMU.
 
     If the options select no topic, ``sensor_combined`` is preferred. Raises AllanError when the log
-    cannot be read, has no IMU or not the selected topic, when a choice between several instances of
-    a topic is necessary but not made, or when the package ``pyulog`` is missing.
+    cannot be read, when it contains no IMU or lacks the selected topic, when one of several
+    instances of a topic must be selected, or when the package ``pyulog`` is missing.
     """
     log = _parsed(path)
     topics = {_label(data, log): data for data in log.data_list if data.name in TOPICS}

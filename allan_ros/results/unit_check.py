@@ -97,12 +97,14 @@ class UnitCheck:
 def check_unit(results: Results, plan: Plan | None = None) -> UnitCheck:
     """Decide whether an IMU passes a plan, its datasheet and the comparison with earlier results.
 
-    The decision is EXCEEDS if a limit is exceeded or an axis is broken. With too few data, a wrong
-    unit of measurement, or a recording of motion or of a warm-up, only limits of the plan count as
-    exceeded. Otherwise, the decision is NOT_JUDGED in these cases, if a finding makes the IMU or
-    its data suspect, if a comparison with a limit is undecided, or if nothing was compared.
-    Undecided comparisons of terms other than N with a datasheet or earlier results are ignored if N
-    is compared, because these terms often need a longer recording.
+    The decision is EXCEEDS if a limit is exceeded or an axis is broken. The data are unsuitable if
+    there are too few, if they have a wrong unit of measurement, or if the IMU moved or warmed up.
+    With unsuitable data, only limits of the plan can be exceeded.
+
+    Without an exceeded limit, the decision is NOT_JUDGED if the data are unsuitable, if a finding
+    makes the IMU or its data suspect, if a comparison with a limit is undecided, or if nothing was
+    compared. Undecided comparisons of terms other than N with a datasheet or earlier results are
+    ignored if N is compared, because these terms often need a longer recording.
     """
     findings = by_consequence(results.findings)
     broken_findings = [f for f in findings if f.id in BROKEN]

@@ -123,7 +123,7 @@ def inverse(information: Floats) -> Floats:
 class LowBand(NamedTuple):
     """Contrasts z (weighted sums of block means) of one group of segments, for one axis.
 
-    The line in time is not among the contrasts.
+    The contrast that measures a linear change with time is not included.
     """
 
     segments: int  # number of segments
@@ -362,7 +362,7 @@ def information_with_shapes(data: AxisData, fit: Fit, shapes: Sequence[Shape]) -
     """
     columns = data.columns(fit.components, shapes)
     moments = data.moments(columns, np.append(fit.p, np.zeros(len(shapes))))
-    assert moments is not None  # the model of a fit is positive
+    assert moments is not None  # a fitted model has positive variances
     return moments[1]
 
 

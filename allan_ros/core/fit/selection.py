@@ -277,11 +277,12 @@ class Selection:
         frequency do not count, because a filter does not bend the spectrum there.
         """
         frequencies = (c.shape[0] for c in fit.components if c.is_line)
-        octaves = np.log2(sorted(each for each in frequencies if each > self.fastest / 64.0))
+        octaves_of_lines = np.log2(sorted(f for f in frequencies if f > self.fastest / 64.0))
         further_lines = LINES_PER_OCTAVE - 1
-        has_bent_spectrum = self.signed or any(c.bends_spectrum for c in fit.components)
-        has_broad = has_bent_spectrum and any(c.is_broad_near(self.fastest) for c in fit.components)
-        return bool(has_broad or np.any(octaves[further_lines:] - octaves[:-further_lines] < 1.0))
+        widths_in_octaves = octaves_of_lines[further_lines:] - octaves_of_lines[:-further_lines]
+        is_bent = self.signed or any(c.bends_spectrum for c in fit.components)
+        is_broad_resonance = any(c.is_broad_near(self.fastest) for c in fit.components)
+        return bool((is_bent and is_broad_resonance) or np.any(widths_in_octaves < 1.0))
 
     def bounded(self, fit: Fit) -> Fit:
         """Return the fit in which processes with a shape replace terms, if the data show the shape.

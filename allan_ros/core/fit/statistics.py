@@ -166,9 +166,9 @@ def contrasts(size: Size) -> Floats:
 
 
 def without_lines(low: Iterable[Floats], sizes: Sizes) -> list[Floats]:
-    """Return the matrices of groups of contrasts without the row and column of the line in time.
+    """Return matrices without the row and column of the contrast for a linear change with time.
 
-    Each matrix is (contrasts, contrasts), and may have any unit.
+    Each matrix belongs to a group of segments, is (contrasts, contrasts), and may have any unit.
     """
     return [a[size.lines :, size.lines :] for a, size in zip(low, sizes)]
 

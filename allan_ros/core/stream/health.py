@@ -60,9 +60,9 @@ USUAL_N = 3e-4
 nearest to this value is the most probable unit."""
 
 UNIT_ERROR, LARGEST_ACCEL_RATIO = 0.2, 3.0
-"""The unit of the gyro has changed if the ratio of the gyro noise now to the gyro noise before
-agrees with the conversion factor of another unit within the first relative error, and the ratio of
-the accelerometer noise now to the accelerometer noise before is at most the second number."""
+"""Limits for the ratio of the noise now to the noise before, by which a changed unit of the gyro is
+recognized: largest relative difference between the ratio of the gyro and the conversion factor of
+the other unit, and largest ratio of the accelerometer."""
 
 NO_AXES = np.zeros(0)
 

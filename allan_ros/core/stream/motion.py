@@ -407,7 +407,7 @@ class MotionGate:
         if is_newly_clipped.any():
             flags = np.broadcast_to(is_newly_clipped[:, None], variance.shape)
             self._levels.add_decrease(variance, flags, floor.variance)
-            self._try(learned, 'noise_decreased')
+            self._try_other_level(learned, 'noise_decreased')
         else:  # only the samples before the latest windows were clipped
             self._replace('moving', learned)
 
@@ -429,7 +429,7 @@ class MotionGate:
         ):
             self._levels.add_decrease(recent.windows.variance, has_decreased, floor.variance)
         if decreased_axes.any():
-            self._try(learned, 'noise_decreased')
+            self._try_other_level(learned, 'noise_decreased')
         return bool(decreased_axes.any())
 
     def _has_increased(self) -> bool:
@@ -448,7 +448,7 @@ class MotionGate:
         is_established = (
             published.samples * self._period_s >= ESTABLISHED_S and not published.clipped
         )
-        self._try(self._learned_floor(block.samples), 'noise_increased')
+        self._try_other_level(self._learned_floor(block.samples), 'noise_increased')
         if not (is_established or is_shaken):
             self._levels.accept()
         return True
@@ -470,7 +470,7 @@ class MotionGate:
         self._levels.replace_present(floor, reason)
         self._begin_level('motion' if reason == 'moving' else 'stuck')
 
-    def _try(self, floor: NoiseFloor, change: Change) -> None:
+    def _try_other_level(self, floor: NoiseFloor, change: Change) -> None:
         """Begin another noise level, whose sums are kept apart until the level is accepted."""
         motion = self._rest.motion
         began_ns = motion.began_ns if motion is not None else self._recent.latest_ns

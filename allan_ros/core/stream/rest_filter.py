@@ -222,8 +222,8 @@ class Motion:
     def replaced(self, held: list[ImuBatch], floor: NoiseFloor, period_s: float) -> list[ImuBatch]:
         """Return the windows of a shock with replaced samples; empty if the motion is no shock.
 
-        The result is also empty if more samples of shocks than the share `REPLACED_SHOCK_SHARE` of
-        the samples at rest would be replaced in the segment.
+        The result is also empty if the replaced samples of the segment would exceed the share
+        `REPLACED_SHOCK_SHARE` of its samples at rest.
 
         ``held`` contains the last window before the motion and all windows of the motion. Of the
         quiet windows at the end, only the first is replaced.
