@@ -276,7 +276,7 @@ def _read_all(
 
     The recordings are read in this process, in several processes, or on a cluster. If workers of a
     cluster crashed while they read a recording, a finding is yielded instead of the Allan sums.
-    Raises AllanError if a recording cannot be read.
+    Raises AllanError if a recording cannot be read; on a cluster, the exception of the worker.
     """
     if args.scheduler and jobs:
         for recorded in on_cluster(jobs, args.scheduler, console):

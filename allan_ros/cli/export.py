@@ -168,9 +168,9 @@ def sensor_lines(sheet: Datasheet, columns: int) -> Iterator[str]:
 
     ``columns`` is the width of the text in characters.
     """
-    yield f'{sheet.name}{f" ({sheet.maker})" if sheet.maker else ""}'
+    yield from wrapped(f'{sheet.name}{f" ({sheet.maker})" if sheet.maker else ""}', columns)
     if sheet.carries:
-        yield f'contains {sheet.carries}; the figures are from this sensor'
+        yield from wrapped(f'contains {sheet.carries}; the figures are from this sensor', columns)
     if sheet.remark:
         yield from wrapped(sheet.remark, columns)
     groups: dict[tuple[str, str, Limit], list[str]] = {}  # sensor, term, limit -> axes

@@ -165,8 +165,8 @@ def samples_in(seconds: float, rate: float) -> int:
 def simulate_axis(n: int, tau0: float, model: Model, rng: np.random.Generator) -> Floats:
     """Return n simulated samples of one axis with the noise of a model, in SI, (n,).
 
-    The first sample is 0. The expected Allan variance of the samples equals the Allan variance of
-    the model at every averaging time.
+    The first sample is 0. The expected Allan variance of the samples is ``model.avar(tau, tau0)``,
+    except if a low-pass filter would make the spectrum negative.
 
     Parameters
     ----------

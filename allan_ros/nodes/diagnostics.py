@@ -97,6 +97,8 @@ VALUELESS = re.compile(r':=(?=\W|$)(?!\{)')
 def node_text(found: Finding) -> str:
     """Return the text of a finding, with ROS parameters in place of command line options.
 
+    Options that `PARAMETERS` does not contain are kept.
+
     Examples
     --------
     >>> from allan_ros.core.findings import finding

@@ -383,7 +383,7 @@ class ParameterPush(NodePart):
     def _note(self, name: str, note: str, warning: bool = True) -> None:
         """Store a note about a parameter, or about the node if ``name`` is ''.
 
-        The note is logged, unless the previous note on the parameter has the same severity.
+        The note is logged, unless a note of the same severity is stored for this parameter.
         """
         if name not in self._notes or self._notes[name][0] != warning:
             self._log.info(f'{name}: {note}' if name else note)

@@ -108,7 +108,7 @@ def format_of(path: Path) -> str:
     belong to no format, the suffix determines it. Raises AllanError when a file is missing, empty,
     unreadable, not regular, a Git-LFS pointer or of an unknown format.
     """
-    if path.is_dir():
+    if os.path.isdir(path):  # unlike `Path.is_dir`, it raises no error if a folder is unreadable
         return 'bag'
     head, suffix = first_bytes(path), path.suffix.lower()
     by_magic = [name for name, form in FORMATS.items() if head.startswith(form.magics)]

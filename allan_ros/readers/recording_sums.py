@@ -188,7 +188,9 @@ def read_recording(
     recording: Recording | None = None,
     advance: Callable[[int], None] = lambda samples: None,
 ) -> RecordingSums:
-    """Return the Allan sums of one recording, which is read once from start to end.
+    """Return the Allan sums of one recording. Each topic is read once from start to end.
+
+    A bag whose accelerometer has a separate topic is therefore read twice.
 
     Parameters
     ----------

@@ -28,9 +28,10 @@ class SerialRule:
     ----------
     text : str
         One of three forms. ``name:PATTERN`` is the part of the file name that matches the regular
-        expression PATTERN, or its first group if it has groups. ``column:NAME`` is the first value
-        in a column of a table, or in an array of an ``.npz`` file. ``metadata:KEY`` is a value of
-        the custom data in the metadata of a rosbag2.
+        expression PATTERN, or its first group if it has groups. ``column:NAME`` is the value in
+        the first row of a .csv or .tsv table with commas, semicolons or tabs, or the first value in
+        an array of an ``.npz`` file. ``metadata:KEY`` is a value of the custom data in the metadata
+        of a rosbag2.
 
     Raises
     ------

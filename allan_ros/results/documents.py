@@ -180,8 +180,9 @@ def load(path: str | os.PathLike[str], method: str = 'likelihood') -> Results:
     """
     expect(PATH, 'a path', path=path)
     document_path = Path(path)
-    if document_path.is_dir():
-        has_results = (document_path / RESULTS).is_file() or not (document_path / SUMS).is_file()
+    if os.path.isdir(path):  # unlike `Path.is_dir`, it raises no error if a folder is unreadable
+        has_results = os.path.isfile(document_path / RESULTS)
+        has_results = has_results or not os.path.isfile(document_path / SUMS)
         document_path = Path(file_in(path, RESULTS if has_results else SUMS))
     document: Any = read_json(document_path)
     if isinstance(document, dict) and document.get('schema') == SUMS_FILE_SCHEMA:
@@ -191,7 +192,7 @@ def load(path: str | os.PathLike[str], method: str = 'likelihood') -> Results:
         return analyze_recorded(recorded, method)
     results = results_from_document(document, str(document_path))
     file = document_path.parent / SUMS
-    if not Path(path).is_dir() or not file.is_file():
+    if not os.path.isdir(path) or not os.path.isfile(file):
         return results
     sums: Any = read_json(file)
     recorded = RecordingSums(str(file), *sums_file_from_document(sums, str(file)))
@@ -218,10 +219,10 @@ def file_in(path: str | os.PathLike[str], name: str) -> str:
 
     Raises AllanError if the folder does not contain this file.
     """
-    if not Path(path).is_dir():
+    if not os.path.isdir(path):
         return str(path)
     file = Path(path) / name
-    if not file.is_file():
+    if not os.path.isfile(file):
         raise AllanError(
             f'{path}: no {name} in this folder: give the folder of an analysis, or the file'
         )

@@ -130,7 +130,8 @@ def terminal_lines(table: Table, width: int) -> Iterator[str]:
 
     If the table is too wide, details are printed below the texts. If it is still too wide, it is
     split into several tables with fewer columns, which are separated by empty lines. The texts in a
-    single column that is too wide are broken into several lines.
+    single column that is too wide are broken into several lines. A table with a column that
+    ``wraps`` is not split: the texts in this column are broken into several lines instead.
 
     Examples
     --------

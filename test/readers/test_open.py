@@ -13,8 +13,11 @@ import numpy as np
 import pytest
 from support.recordings import imu_batches, read, refused
 
+from allan_ros.core.errors import AllanError
+from allan_ros.readers import format_of
 from allan_ros.readers.bag import bag_of
 from allan_ros.readers.writing import write_recording
+from allan_ros.results.documents import load
 from fuzz.reading import write_bag
 
 pytest.importorskip('rosbags')
@@ -171,3 +174,10 @@ def test_a_missing_package_is_one_line(tmp_path: Path, shared_data: Path) -> Non
     for line, package in zip(said, ('zstandard', 'rosbags', 'pyulog')):
         assert f'needs the Python package \'{package}\': "pip install {package}"' in line
         assert ('apt install python3-' in line) == (package == 'zstandard')
+
+
+def test_a_name_that_the_system_rejects_is_one_line() -> None:
+    with pytest.raises(AllanError, match='cannot be read'):
+        format_of(Path('x' * 300))
+    with pytest.raises(AllanError, match='cannot be read'):
+        load('x' * 300)

@@ -63,7 +63,11 @@ class Transfer(NamedTuple):
 
     @property
     def is_equal(self) -> bool:
-        """Whether the difference of any two sensors contains hardly more than their own noise."""
+        """Whether the difference of any two sensors contains hardly more than their own noise.
+
+        The samples are divided by ``gains`` before the differences are computed. The result is also
+        True if there are too few samples to measure the leak.
+        """
         return self.leak < LARGEST_LEAK
 
 

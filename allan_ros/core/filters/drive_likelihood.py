@@ -132,7 +132,7 @@ class DriveFit(NamedTuple):
 
     @property
     def errors(self) -> Floats:
-        """Standard errors of ``log_factors``, (k,).
+        """Standard errors of ``log_factors``, (k,), for at least three drives.
 
         Each standard error is the larger of two estimates: from ``information``, and from the
         scatter of the scores of the drives (sandwich estimate). The second estimate does not assume

@@ -76,13 +76,14 @@ class Selection:
     candidates : Candidates
         Processes that may be added.
     base : tuple of Process
-        Components that every model contains.
+        Components from which every model starts. A process with a shape may replace one of them.
     signed : tuple of int
-        Indices of the coefficients that may be negative: q if the samples are low-pass filtered.
+        Indices of the coefficients that may be negative: terms of a low-pass filter.
     shortest : float
         Shortest correlation time of a process without a frequency, in samples.
     fastest : float
-        Highest frequency of a sinusoid or a resonance, in cycles per sample.
+        Highest frequency of the candidates for a sinusoid or a resonance, in cycles per sample. The
+        frequency of a selected process is refined, and can be higher.
     """
 
     data: AxisData

@@ -190,7 +190,8 @@ class Process:
     def is_drift(self) -> bool:
         """Whether the integral of the process grows with time, or the process is a slow sinusoid.
 
-        The shape must be in s and Hz, because sinusoids of up to `SLOW_SINUSOID_HZ` are slow.
+        A resonance is no drift, although its integral grows: `density_at_zero` describes this. The
+        shape must be in s and Hz, because sinusoids of up to `SLOW_SINUSOID_HZ` are slow.
         """
         return True
 

@@ -79,7 +79,8 @@ class _Pending(NamedTuple):
 class DriveRecorder:
     """Collects the drives between rests from evenly spaced samples of six axes.
 
-    The result does not depend on how the samples are divided into blocks.
+    The result does not depend on how the samples are divided into blocks, if the sample rate is
+    below 4 kHz. At higher rates, long drives may exceed the largest number of buffered samples.
     """
 
     def __init__(self, tau0: float) -> None:

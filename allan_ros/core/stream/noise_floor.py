@@ -161,8 +161,8 @@ class NoiseFloor:
         """Return the noise floor of samples, of which at least a quarter should be at rest.
 
         Each part, (axes, n), is a sequence of samples without a gap. Windows in which an axis
-        repeats one value do not contribute to the noise of this axis, if the axis changes in at
-        least a quarter of the windows.
+        repeats one value do not contribute to ``variance`` and ``mean`` of this axis, if the axis
+        changes in at least a quarter of the windows.
         """
         parts = [rows for rows in parts if rows.shape[1] > 1]
         zeros = np.zeros(len(gyro))
