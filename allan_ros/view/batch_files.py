@@ -282,12 +282,12 @@ def _frame(rows: Sequence[UnitRow], sensor: str) -> _Frame:
 def _drawing(row: UnitRow, sensor: str, frame: _Frame) -> str:
     """Return an SVG of the curves of the axes of a sensor; '' without curves.
 
-    If a plan limits N, a band shows the limits of each axis that has a limit.
+    If a plan limits N, bands show the limits. Axes with equal limits share a band.
     """
     curves = _curves(row, sensor)
     if not curves:
         return ''
-    parts = []
+    areas = []
     for check in row.check.checks if row.check else ():
         if check.quantity == 'N' and sensor_of(check.axis or 'unit') == sensor:
             tau = np.logspace(frame.left, frame.right, 2)
@@ -297,8 +297,8 @@ def _drawing(row: UnitRow, sensor: str, frame: _Frame) -> str:
             high = np.full(2, 10.0**frame.top)
             if check.upper:
                 high = check.upper / np.sqrt(tau)
-            area = f'{frame.points(tau, low)} {frame.points(tau[::-1], high[::-1])}'
-            parts.append(f'<polygon points="{area}" fill="#8883"/>')
+            areas.append(f'{frame.points(tau, low)} {frame.points(tau[::-1], high[::-1])}')
+    parts = [f'<polygon points="{area}" fill="#8883"/>' for area in dict.fromkeys(areas)]
     for axis, curve in curves.items():
         color = COLORS['xyz'.index(axis[-1])]
         line = frame.points(curve.tau, curve.adev)

@@ -242,12 +242,14 @@ class CoveredTime:
         stamps = samples.stamps_ns
         if not len(stamps):
             return samples
-        first, last, present = int(stamps[0]), int(stamps[-1]), self._present
+        last, present = int(stamps[-1]), self._present
         steps = np.diff(stamps, prepend=present[1])
         continues_stretch = (
             steps[0] >= (not self._was_new) and steps.min() >= 0 and steps.max() <= NEAR_NS
         )
-        if continues_stretch and not any(first <= begin <= last for begin, _ in self._stretches):
+        if continues_stretch and not any(
+            present[1] < begin <= last for begin, _ in self._stretches
+        ):
             present[1], self._was_new = last, True
             return samples
         is_new = np.fromiter(map(self._is_new, stamps.tolist()), bool, len(stamps))
