@@ -23,7 +23,7 @@ def one_line(text: str) -> str:
 
 
 class AllanError(Exception):
-    """An error that a user can fix: the only exception that public functions raise on purpose.
+    """An error that a user can fix; public functions raise it for unusable input.
 
     The message is one line with the cause, the numbers and the next step. The command line and
     the nodes print it without a traceback.

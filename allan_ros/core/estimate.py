@@ -215,8 +215,9 @@ class Estimate:
         """Return the estimate that `document` wrote as a JSON object.
 
         Name, unit and axis are not stored; missing numbers are None. With ``signed``, the value and
-        the lower limit may be negative. Raises AllanError if a number or an interval is invalid, if
-        the status is missing or unknown, or if there is only ``recording_ci95`` without ``ci95``.
+        the lower limit may be negative. Raises AllanError if a number or an end of an interval is
+        no number or out of range, if the status is missing or unknown, or if there is only
+        ``recording_ci95`` without ``ci95``.
         """
         least = -MAX_FLOAT if signed else 0.0
 
@@ -315,7 +316,7 @@ def significant(value: float, digits: int) -> str:
 
 
 def duration_text(seconds: float, digits: int = 2) -> str:
-    """Return a duration as text in s, min, h or days, with ``digits`` significant digits.
+    """Return a duration as text in s, min, h or days, rounded to ``digits`` significant digits.
 
     >>> duration_text(90.0), duration_text(1234.0, digits=3), duration_text(86400.0 * 3.456)
     ('90 s', '20.6 min', '3.5 days')

@@ -68,7 +68,7 @@ def located(where: str) -> Iterator[None]:
     try:
         yield
     except AllanError as error:
-        raise AllanError(f'{where}: {error}') from error
+        raise AllanError(f'{where}: {error}', error.findings) from error
 
 
 class Fields:
@@ -124,7 +124,8 @@ class Fields:
     def text(self, key: str, default: object = _REQUIRED, longest: int = MAX_TEXT) -> str:
         """Return the text under a key, of at most ``longest`` characters.
 
-        If the key is missing, the result is ``default``; AllanError is raised without a default.
+        If the key is missing, the result is ``default``, a text; AllanError is raised without a
+        default.
         """
         value = str(self._get(key, str, 'a text', default))
         if len(value) > longest:
@@ -226,7 +227,7 @@ class Fields:
         If ``kind`` has a method ``from_document``, the result of this method is returned. Otherwise
         the value of each field is read from the key with the name of the field, or from its key in
         the names of this object, as the annotated type. Fields in ``known`` get the values given
-        there. Keys of fields with a default may be missing.
+        there. Keys of fields for which ``kind`` itself states a default value may be missing.
         """
         if (from_document := getattr(kind, 'from_document', None)) is not None:
             result: T = from_document(self)

@@ -76,8 +76,9 @@ class Finding:
     axes : tuple of str
         The affected axes; empty if all axes are affected.
     values : mapping of str to int, float, str or Estimate
-        The values in the text: quantities in SI, times in s, frequencies in Hz, shares from 0 to
-        1. In a merged finding, a value is a tuple if the axes have different values.
+        The values in the text: quantities in SI, times in s, frequencies in Hz, angles in deg,
+        shares from 0 to 1. In a merged finding, a value is a tuple if the axes have different
+        values.
     stated : (message, remedy) or None
         Text of a finding that was read from a document of another version, if the present catalog
         does not contain its id or its values; else None.
@@ -95,7 +96,7 @@ class Finding:
         return one_line(f'{self.id}{axes}: {", ".join(values)}')
 
     def document(self) -> dict[str, Any]:
-        """Return the finding as a JSON object, with its values in SI."""
+        """Return the finding as a JSON object, with its values in the units of ``values``."""
         texts = dict(zip(('message', 'remedy'), self.stated)) if self.stated else {}
         return {
             'id': self.id,

@@ -23,7 +23,7 @@ Flags = NDArray[np.bool_]
 Ints = NDArray[np.int32]
 
 AXES: tuple[str, ...] = ('gyro_x', 'gyro_y', 'gyro_z', 'accel_x', 'accel_y', 'accel_z')
-"""The axes, in the order of the last dimension of every six-axis array."""
+"""The axes, in the order of the columns of six-axis samples and of the rows of `ImuBatch.rows`."""
 
 SENSORS = {'gyro': slice(0, 3), 'accel': slice(3, 6)}
 """Sensor -> slice of its axes in `AXES`."""
@@ -55,7 +55,8 @@ class ImuBatch:
         Times in nanoseconds at which the samples were recorded or received. They are used if the
         header stamps are unusable. None if the source has no such times.
     frame_id : str
-        ``header.frame_id`` of all samples of this batch; '' if the source has none.
+        ``header.frame_id`` of the samples, after `joined` of the last batch; '' if the source has
+        none.
     cut : str
         Reason for the gap between the previous batch and this batch; '' if there is no gap.
     filled : (axes, n) int32 array or None
@@ -66,7 +67,8 @@ class ImuBatch:
     Raises
     ------
     AllanError
-        When the shapes do not fit together, or the frame_id is longer than `MAX_NAME` characters.
+        When the shapes of stamps, samples and record times do not fit together, or the frame_id is
+        longer than `MAX_NAME` characters.
     """
 
     stamps_ns: NDArray[np.int64]
@@ -145,9 +147,9 @@ def joined(batches: Sequence[ImuBatch], copy: bool = False) -> ImuBatch:
 
     Batches without samples are ignored. The result has the ``cut`` of the first batch and the
     frame_id of the last batch, and the samples of each axis are contiguous in memory. The record
-    times are None unless all batches have record times. If only one batch has samples, the result
-    is this batch itself, and if no batch has samples, the first batch itself; with ``copy``, a copy
-    of this batch.
+    times are None unless all these batches have record times. If only one batch has samples, the
+    result is this batch itself, and if no batch has samples, the first batch itself; with ``copy``,
+    a copy of this batch.
     """
     parts = [part for part in batches if len(part)] or list(batches[:1])
     if len(parts) == 1 and not copy:

@@ -89,8 +89,8 @@ def expect(kind: Any, called: str = '', /, **values: object) -> None:
     """Raise AllanError for the first keyword argument whose value is not of the type ``kind``.
 
     ``kind`` is a type or a tuple of types. True and False are valid only if ``kind`` is bool; they
-    are not accepted as numbers. ``called`` is the name of the expected type in the
-    message, by default from `EXPECTED`.
+    are not accepted as numbers. ``called`` is the name of the expected type in the message. It may
+    be omitted for the types in `EXPECTED`.
     """
     for name, value in values.items():
         if not isinstance(value, kind) or (isinstance(value, bool) and kind is not bool):
@@ -131,9 +131,9 @@ def settings_from(kind: type[T], given: Mapping[str, Any]) -> T:
 class CheckedSettings:
     """Base class of settings dataclasses; checks all values when an object is created.
 
-    Raises AllanError unless every value has the type of its default, lies in its range and is one
-    of its choices. The text 'auto', which some settings accept, is stored as the number -1
-    (`AUTO`).
+    Raises AllanError unless every value has a type like its default (`EXPECTED`), lies in its range
+    and is one of its choices. The text 'auto', which some settings accept, is stored as the number
+    -1 (`AUTO`).
     """
 
     def __post_init__(self) -> None:

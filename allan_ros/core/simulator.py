@@ -203,7 +203,8 @@ def simulate_imu(
     """Simulate a recording with known noise, and yield its samples in batches.
 
     Every axis and every fault has its own random numbers, so an added fault does not change the
-    noise or the other faults.
+    random numbers of the noise or of the other faults. The random numbers of a jitter are for the
+    samples that are not lost.
 
     Parameters
     ----------

@@ -73,16 +73,17 @@ class AtRest:
         Difference between the largest and the smallest of up to 16 means of equal length. The
         difference includes the noise of the means. None if there are fewer than two means.
     temperature : float or None
-        Mean temperature in degC during the means of the drift. Means that do not lie completely
-        between the first and the last reading are excluded; None if no mean remains.
+        Mean temperature in degC during the means of the drift, at eight times in each mean. Means
+        with a time before the first or after the last reading are excluded. None if no mean
+        remains, or for fewer than two readings.
     slope : Estimate or None
         Change of the means per K, by least squares. A drift with time is not separated from the
         effect of the temperature. None if the temperatures of the means differ by less than 3 K, or
         are known for fewer than four means.
     bandwidth : float or None
-        Frequency in Hz up to which the noise density is at least 0.71 N; half of the sample rate if
-        the density is nowhere lower. None if N or the spectrum is unknown, or if the density is
-        below 0.71 N already at the lowest frequencies.
+        Frequency in Hz up to which the noise density, as a median over five bins, is at least
+        0.71 N; half of the sample rate if it is nowhere lower. None if N or the spectrum is
+        unknown, or if the density is below 0.71 N already at the lowest frequencies.
     """
 
     mean: Signed

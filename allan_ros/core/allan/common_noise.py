@@ -74,7 +74,8 @@ class CommonNoise:
         Name of the IMU.
     coherence : Coherence
         Correlation of the second differences of the axis with the second differences of the mean of
-        the other IMUs, or of the other axis. It is 0 for independent noise, and 1 for common noise.
+        the other IMUs, or of the other axis. It is near 0 for independent noise, and near 1 if
+        nearly all noise is common.
     measured : Estimate or None
         N of the axis in SI, including common noise. None if two axes are compared, or if the
         samples are constant.
@@ -127,7 +128,7 @@ def common_noise(axis: str, imus: Sequence[Samples], labels: Sequence[str]) -> l
     Raises
     ------
     AllanError
-        If the rates differ, or the recordings overlap for too short a time.
+        If the rates differ by more than 1 %, or the recordings overlap for too short a time.
     """
     parts, imu_count, rows = aligned(imus), len(imus), []
     imu_transfer = transfer([part.values for part in parts])
@@ -160,7 +161,7 @@ def common_of_axes(
     Raises
     ------
     AllanError
-        If the rates differ, or there are too few samples.
+        If the rates differ by more than 1 %, or there are too few samples.
     """
     blocks = _sums(axes[0], aligned(samples))
     covariance, basis = _allan_covariance(blocks, len(axes)), np.eye(len(axes))
@@ -180,7 +181,7 @@ def aligned(sensors: Sequence[Samples]) -> list[Samples]:
     Raises
     ------
     AllanError
-        If the rates differ.
+        If the rates differ by more than 1 %.
     """
     periods = [float(np.median(np.diff(sensor.stamps))) for sensor in sensors]
     if max(periods) > (1.0 + SAME_RATE) * min(periods):

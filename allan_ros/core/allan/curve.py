@@ -157,8 +157,8 @@ SLOPE_RANGE = 4.0
 """The slope of the curve at the averaging factor m is fitted to the points from m/4 to 4 m."""
 
 MIN_AVERAGES = 16
-"""Shortest recording, in averaging times, for which the slope of the curve at an averaging time is
-reliable."""
+"""Least duration of all data, in averaging times, for which the slope of the curve at an averaging
+time is reliable."""
 
 QUANTIZATION_SLOPE = -1.5
 """Slope of log avar over log tau below which the noise type is white phase noise."""
@@ -169,9 +169,9 @@ def noise_types_of_avar(m: Ints, avar: Floats, samples: int) -> Ints:
 
     The type is the exponent alpha = -1 - mu of the spectrum, rounded and at least -2, where mu is
     the slope of log avar over log tau (NIST SP 1065 table 4). A slope below -1.5 is classified as
-    white phase noise, which in an IMU is quantization. If the slope is unknown, or the recording is
-    shorter than 16 averaging times, the type at the previous factor is used, and white noise (0) at
-    the first factor.
+    white phase noise, which in an IMU is quantization. If the slope is unknown, or all data
+    together are shorter than 16 averaging times, the type at the previous factor is used, and white
+    noise (0) at the first factor.
 
     Parameters
     ----------
@@ -180,7 +180,7 @@ def noise_types_of_avar(m: Ints, avar: Floats, samples: int) -> Ints:
     avar : (factors, axes) array
         Allan variances; NaN or 0 without data.
     samples : int
-        Number of samples in the recording.
+        Number of samples in all segments.
 
     Returns
     -------

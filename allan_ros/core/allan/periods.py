@@ -90,7 +90,7 @@ class Period(ByValue):
 
     begin: int  # number of samples of the recording before the period
     samples: int  # number of samples
-    begin_ns: int  # stamp of the first sample of the period
+    begin_ns: int  # stamp of the first sample, computed from the mean sample period
     count: Ints  # (factors,) number of second differences
     sum_sq: Floats  # (factors, axes) sum of the squares of the second differences
     blocks: Ints  # (octaves,) number of spectral blocks

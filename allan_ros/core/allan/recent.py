@@ -87,9 +87,10 @@ class NoiseStep:
 def noise_steps(sums: AllanSums, window_s: float) -> dict[str, NoiseStep]:
     """Return axis -> change of the noise level, for the axes with a step in the recent window.
 
-    The window of ``window_s`` seconds ends at the end of the latest recording. The noise before a
-    step includes the noise of all data before the window. Noise is compared only at averaging times
-    of at most a quarter of the window.
+    The window of ``window_s`` seconds ends at the end of the latest recording. It consists of whole
+    periods, and does not contain the first period of all data. The noise before a step includes the
+    noise of all data before the window. Noise is compared only at averaging times of at most a
+    quarter of the window.
 
     Raises
     ------
@@ -109,7 +110,8 @@ def noise_steps(sums: AllanSums, window_s: float) -> dict[str, NoiseStep]:
         [add_padded(no_sums[:, 0].astype(int), p.count)[:factors] for p in sums.periods]
     )
     sum_sq = np.array([add_padded(no_sums, p.sum_sq)[:factors] for p in sums.periods])
-    # the first row of `count` and `sum_sq` will contain all data before the window
+    # the first row of `count` and `sum_sq` will contain all data before the window, at least one
+    # period
     window_start = latest.samples - window_s / sums.tau0
     begins = [p.begin if r is latest else -1 for r in sums.recordings for p in r.periods]
     periods_before = max(int(np.searchsorted(begins, max(window_start, 0))), 1)

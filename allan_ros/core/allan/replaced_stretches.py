@@ -19,7 +19,7 @@ weight 1 at its own position. In addition, it has the weight (1 - i/(g + 1))/L a
 i = 1 .. g of the stretch. The L samples after the stretch have the same weights in reverse order.
 
 At frequencies far below 1/(g + L), one stretch between single samples (L = 1) adds the power of
-about g^2/2 samples. At frequencies far above 1/L, a stretch removes the power of g samples.
+about g + g^2/2 samples. At frequencies far above 1/L, a stretch removes the power of g samples.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ Ints = NDArray[np.int64]
 
 COUNTED_BITS = 7
 """Number of significant bits of a length in a table. Lengths of 128 samples or more are rounded,
-with a relative error below 1/128, so that the table remains small."""
+with a relative error of at most 1/128, so that the table remains small."""
 
 
 def no_stretches(axes: int) -> Ints:

@@ -76,7 +76,8 @@ class AllanSums(ByValue):
     identity : ImuIdentity
         Frame and hardware id of the IMU.
     axes : tuple of str
-        Names of the axes, in the order of `AXES`. The last dimension of the arrays has this order.
+        Names of the axes, in the order of `AXES` if they are the axes of an IMU. The columns of the
+        sums have this order.
     count : (factors,) int64 array
         Number of second differences at each averaging factor in ``m``.
     sum_sq : (factors, axes) float64 array
@@ -90,7 +91,7 @@ class AllanSums(ByValue):
         period.
     recordings : tuple of RecordedPeriods
         The periods of each recording, with their sums and octave spectra, and its block means. The
-        recordings are in the order of time.
+        recordings are in the order of time. Of more than 24 recordings, the oldest are joined.
     lengths : tuple of pairs of int
         Total number of samples, and number of segments, of each length class. The class of the
         shortest segments is first.
@@ -116,7 +117,10 @@ class AllanSums(ByValue):
     def empty(
         cls, identity: ImuIdentity = ImuIdentity(), axes: tuple[str, ...] = AXES
     ) -> AllanSums:
-        """Return the sums over zero samples; adding these to other sums changes nothing."""
+        """Return the sums over zero samples.
+
+        Adding these sums to other sums of the same IMU and axes changes nothing.
+        """
         no_counts, no_sums = np.zeros(0, np.int64), np.zeros((0, len(axes)))
         no_table = no_stretches(len(axes))
         return cls(identity, axes, no_counts, no_sums, no_counts, no_sums, replaced=no_table)
@@ -153,7 +157,7 @@ class AllanSums(ByValue):
 
     @property
     def periods(self) -> tuple[Period, ...]:
-        """The periods of all recordings, in the order of time."""
+        """The periods of all recordings: recording by recording, each in the order of time."""
         return tuple(p for r in self.recordings for p in r.periods)
 
     @property

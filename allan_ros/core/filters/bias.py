@@ -54,7 +54,7 @@ class BiasModel(NamedTuple):
         The prior standard deviation of the slope is sqrt(R^2 + s^2), where s is the standard error
         of R. If R is not resolved, s is computed from its upper limit: without a slope, the 95 %
         intervals for the bias 10 min ahead contained the true bias of only 89 to 93 % of simulated
-        sensors. The model has no slope if R has neither an estimate nor a limit.
+        sensors. The model has no slope if R has neither an estimate nor a finite limit.
         """
         ramp = fit.noise['R'].magnitude
         value, limit = ramp.value or 0.0, ramp.upper95 or 0.0

@@ -67,7 +67,8 @@ typical limits of MEMS datasheets: 0.01 rad or 1 %, and 1e-3 rad/s per m/s^2 (0.
 'accel_matrix' have nine elements each, and include such a rotation."""
 
 SIGMA_LOG = 2.0 * math.log(5.0)
-"""Prior standard deviation of the logarithm of s_i^2, where s_i is a factor of the noise in motion.
+"""Prior standard deviation of the logarithm of s_i^2, where s_i is a factor of the noise in motion
+and not the size of an unknown drift (`NoiseAtRest.unknown`).
 Within two standard deviations, s_i is between 1/25 and 25. The prior only matters if the drives do
 not determine a factor."""
 
@@ -149,8 +150,8 @@ class DriveFit(NamedTuple):
 class DriveLikelihood:
     """Residuals of drives, and the noise and the unknowns that may have caused these residuals.
 
-    All arrays except ``scale`` are divided by ``scale``, so that residuals with different units of
-    measurement have similar sizes.
+    All arrays except ``scale`` are divided by ``scale``, and covariances by the products of two of
+    its elements, so that residuals with different units of measurement have similar sizes.
 
     Attributes
     ----------
@@ -233,7 +234,7 @@ class DriveLikelihood:
     def fit(
         self, groups: Groups, causes: tuple[str, ...] = (), start: DriveFit | None = None
     ) -> DriveFit:
-        """Return the fit of the factors s_i that maximize the likelihood.
+        """Return the fit of the factors s_i that maximize the likelihood with their prior.
 
         Parameters
         ----------

@@ -20,7 +20,7 @@ from ..imu import HOUR
 Floats = NDArray[np.float64]
 
 LARGEST_LOG = 100.0
-"""Largest logarithm of the ratio between an estimate and an end of its interval."""
+"""Largest logarithm of the ratio between an estimate and an end of its predictive interval."""
 
 INDEPENDENT = 2.0
 """Assumed number of independent errors in a time h + W, where h is the prediction horizon and W the

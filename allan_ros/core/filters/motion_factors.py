@@ -74,7 +74,8 @@ class Cause:
     name : str
         'rotation', 'gyro_matrix', 'accel_matrix' or 'g_sensitivity'.
     gain : float
-        Increase of 2 log L when this cause is added to the model.
+        Increase of 2 log L when this cause is added to the model. If 'gyro_matrix' or
+        'accel_matrix' replaces 'rotation', the increase compared with the model with 'rotation'.
     elements : tuple of Estimate
         For 'rotation', the three elements of the vector in rad by which the axes of the gyro are
         rotated relative to the axes of the accelerometer. For the other causes, the nine elements
@@ -142,7 +143,7 @@ class SensorInMotion:
         Factors of N, and of K and other drift, that explain this ratio; None for noise that is the
         same as at rest. Errors due to white noise grow with the root of the duration of a drive,
         errors due to drift grow faster. If the drives do not show whether white noise or drift is
-        larger in motion, both factors are the same.
+        larger in motion, and drift was measured at rest, both factors are the same.
     explained : Estimate or None
         The same ratio as ``factor``, but with the calibration errors of all causes in the model;
         None if there are no causes.
@@ -155,7 +156,7 @@ class SensorInMotion:
 
     @property
     def raised(self) -> Mapping[str, Estimate]:
-        """Term ('N' or 'K') -> factor, for each term that differs between motion and rest."""
+        """Term ('N' or 'K') -> factor, for each term with a factor (`white`, `slow`)."""
         factors = (('N', self.white), ('K', self.slow))
         return {term: factor for term, factor in factors if factor is not None}
 
@@ -301,6 +302,7 @@ def _with_causes(
     """Return the fit with all causes, and a dict: cause -> increase of 2 log L by this cause.
 
     The causes are added one by one, as long as the next cause increases 2 log L by `GAIN_CAUSE`.
+    The dict also contains a rotation that a matrix has replaced.
     """
     best, gains = fit_without_causes, {}
     while names := [name for name in CAUSES if name not in best.causes]:

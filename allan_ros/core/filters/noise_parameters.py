@@ -9,7 +9,8 @@ Reduced-order models
 --------------------
 A state estimator with the parameters N and K underestimates its error if the sensor also has bias
 instability. A `Reduction` has larger parameters. With these, the state estimator predicts at least
-the error of the complete model at all horizons, or 5 % less with the bias model 'processes'.
+the error of the complete model at the compared horizons. With the bias model 'processes', it may
+predict 5 % less, or still less if the longest horizon is shorter than 1 s.
 
 Horizons
 --------
@@ -78,8 +79,9 @@ class FilterLevel(NamedTuple):
         which one. If the number is not resolved, the state estimator gets its 95 % upper limit.
     raised_from : float or None
         Fitted coefficient before the increase. If this coefficient is not resolved: 0 for K, and
-        the upper limit for N. None if the value was not increased. Values are increased so that
-        the state estimator does not underestimate its error.
+        the upper limit for N. Also 0 for K if a bounded random walk replaces the random walk. None
+        if the value was not increased. Values are increased so that the state estimator does not
+        underestimate its error.
     """
 
     estimate: Estimate
@@ -123,7 +125,7 @@ class Reduction(NamedTuple):
     """Reduced-order model of one axis."""
 
     model: Model  # N, K and the processes with states that the state estimator assumes
-    # smallest and largest ratio, over all horizons, of the root mean square error that the
+    # smallest and largest ratio, over the compared horizons, of the root mean square error that the
     # reduced-order model predicts to the root mean square error that the complete model predicts
     ratio: tuple[float, float]
     # N, and K if the model has a random walk, with their intervals; empty if the model did not come
@@ -162,8 +164,9 @@ def reduce_model(model: Model, states: States = 'walk', horizon: float = HORIZON
     Returns
     -------
     Reduction
-        With 'none' and 'walk', no ratio is below 1. With 'processes', the predicted error may be up
-        to 5 % smaller than with the complete model, because B is approximated.
+        With 'none' and 'walk', no ratio is below 1, except for rounding errors. With 'processes',
+        the predicted error may be up to 5 % smaller than with the complete model, because B is
+        approximated. If ``horizon`` is shorter than 1 s, it may be much smaller.
 
     Notes
     -----
@@ -179,7 +182,7 @@ def reduce_model(model: Model, states: States = 'walk', horizon: float = HORIZON
 
     Examples
     --------
-    A model with N and K only is not changed:
+    With 'walk', a model with N and K only is not changed:
 
     >>> reduction = reduce_model(Model.of(N=1e-3, K=1e-5))
     >>> round(reduction.model.value('K'), 9), [round(ratio, 3) for ratio in reduction.ratio]
@@ -260,8 +263,9 @@ def closest_process(
 ) -> tuple[float, float] | None:
     """Return the parameters of the process that best replaces all drift of a model.
 
-    This process and the white noise of the model minimize the largest relative difference, over all
-    horizons, between the error that they predict and the error that the complete model predicts.
+    Among the correlation times that are tried, this process and the white noise of the model
+    minimize the largest relative difference, over 30 horizons, between the error that they predict
+    and the error that the complete model predicts.
 
     Parameters
     ----------

@@ -97,8 +97,8 @@ def cover_bias(
     ``messages`` is the number of samples that a state estimator integrates; less than 1 counts as
     1. From the increased variances, the state estimator computes a variance of the integral that
     covers the error due to noise and bias. ``bias`` is axis -> bias at rest in SI for each axis
-    with a known bias; an unknown bias is taken as 0. The bias of an accelerometer is unknown,
-    because it cannot be distinguished from gravity.
+    with a known bias; the bias of a missing axis is taken as 0. The bias of an accelerometer is
+    unknown, because it cannot be distinguished from gravity.
     """
     if 'gyro' not in variances:
         return variances

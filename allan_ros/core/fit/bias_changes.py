@@ -10,8 +10,8 @@ The size of an effect is estimated from the block means of a segment by generali
 Then the noise is fitted again to the data minus the effect. The gain of an effect is the decrease
 of -2 log likelihood when the effect is added to the model.
 
-All axes of a sensor settle with one time constant T, which maximizes the likelihood. Each axis has
-its own size A of the settling A exp(-t/T).
+All axes of a sensor settle with one time constant T, which maximizes the likelihood for the
+recording with the largest gain. Each axis has its own size A of the settling A exp(-t/T).
 """
 
 from __future__ import annotations
@@ -238,14 +238,14 @@ again. It is below `GAIN_SETTLING`, because a score is computed with the noise o
 settling. If there is a settling, this noise is too large, and the score is too small."""
 
 LEAST_SEGMENT = 0.3
-"""Least length of the first segment of a recording, relative to the recording, for which a settling
-is searched for in this segment."""
+"""Least length of the first segment with block means of a recording, relative to the recording, for
+which a settling is searched for in this segment."""
 
 TESTED_RECORDINGS = 4
 """Number of the longest recordings that are tested for a settling."""
 
 MOST_LEFT = 1.0
-"""Largest part of a settling that may be left at the end of the first segment of a recording,
+"""Largest part of a settling that may be left at the end of the first segment with block means,
 relative to the Allan deviation of the noise at the time constant. If more is left, the sensor has
 not settled."""
 
@@ -263,9 +263,9 @@ class SensorSettling:
     gain : float
         Gain in -2 log L, summed over the axes, in the recording with the largest gain.
     left : float
-        Part of the settling that is left at the end of the first segment of a recording, divided by
-        the Allan deviation of the noise at the time constant. It is the largest of these ratios for
-        all axes and recordings.
+        Part of the settling that is left at the end of the first segment with block means, divided
+        by the Allan deviation of the noise at the time constant. It is the largest of these ratios
+        for all axes and recordings.
     """
 
     settling: Settling
@@ -276,7 +276,7 @@ class SensorSettling:
 
 @dataclass(frozen=True, eq=False)
 class _Sensor:
-    """First segment of a recording, with the noise of the axes of one sensor in this segment."""
+    """First segment with block means of a recording, and the noise of one sensor's axes in it."""
 
     segment: SegmentStatistics
     noise: Mapping[int, AxisSegment]
@@ -324,8 +324,9 @@ class _Sensor:
 
 
 def settling(sums: AllanSums, known: Statistics, axes: Sequence[int]) -> SensorSettling | None:
-    """Return the settling of the axes of a sensor, or None if no recording shows a settling.
+    """Return the settling of the axes of a sensor, or None if no tested recording shows one.
 
+    The `TESTED_RECORDINGS` longest recordings are tested.
     The time constant is taken from the recording with the largest gain. ``known`` are the
     statistics of the sums, and ``axes`` are the indices of the axes.
     """

@@ -126,7 +126,7 @@ def fit_curve(tau: ArrayLike, adev: ArrayLike, record: float | None = None) -> A
     adev : (points,) array
         Allan deviations in SI units.
     record : float, optional
-        Length of the recording in s; nine times the longest averaging time by default.
+        Length of the recording in s; nine times the longest used averaging time by default.
 
     Returns
     -------
@@ -137,7 +137,7 @@ def fit_curve(tau: ArrayLike, adev: ArrayLike, record: float | None = None) -> A
     ------
     AllanError
         If there are too few valid points, or if ``record`` is not finite or is shorter than twice
-        the longest averaging time.
+        the longest averaging time that is used (at most four points per octave are).
 
     Examples
     --------

@@ -150,7 +150,7 @@ class AxisData:
     dof : (bins,) array
         Degrees of freedom of the power; reduced where the model is less accurate than the data.
     used : (bins,) array of bool
-        Bins below the highest frequency of the fit.
+        Bins that are used in a fit, for example those below its highest frequency.
     """
 
     statistics: Statistics
@@ -245,8 +245,9 @@ class AxisData:
     def start(self, columns: Columns) -> Floats:
         """Return coefficients to start from, (components,), in units of `scale`.
 
-        With these coefficients, no component alone exceeds the measured power of any bin, or the
-        mean square of all contrasts of any segment length.
+        With these coefficients, no component alone exceeds the measured power of any used bin, or
+        the mean square of all contrasts of any segment length, unless its coefficient has the
+        smallest allowed value.
         """
         upper_bounds = np.full(len(columns.power.T), np.inf)
         if len(columns.power):
@@ -270,6 +271,9 @@ class AxisData:
         tolerance: float = 1e-4,
     ) -> Fit:
         """Return the maximum of the likelihood over the coefficients of some components.
+
+        If the search has not converged after ``rounds`` steps, the last step is returned. The value
+        of the result is infinite if the coefficients to start from are impossible.
 
         Parameters
         ----------

@@ -383,9 +383,10 @@ def innovation_levels(
 ) -> PeriodLevels:
     """Return the level of the drift in each block mean except the first mean of each segment.
 
-    The level of a block mean is the square of its innovation, with one degree of freedom. Both are
-    0 for an axis whose model has no drift, or whose drift has a mean share below `LEAST_SHARE` in
-    the variance of the innovations.
+    Segments with fewer than `LEAST_MEANS` block means are omitted. The level of a block mean is the
+    square of its innovation, with one degree of freedom. Both are 0 for an axis whose model has no
+    drift, whose drift has a mean share below `LEAST_SHARE` in the variance of the innovations, or
+    nearly all of whose power is at the frequencies of sinusoids.
 
     Parameters
     ----------

@@ -94,7 +94,8 @@ class AxisFit:
     lack_of_fit : tuple of LackOfFit
         Octaves in which the data differ from the model; empty if the model passes the test.
     deviation : Deviation or None
-        Largest significant deviation of the curve from the model; None if there is none.
+        Largest significant deviation of the curve from the model; None if there is none, or if it
+        was not computed (`with_deviations`).
     """
 
     noise: Mapping[str, Estimate]
@@ -135,7 +136,8 @@ class AxisFit:
         """Return two models with coefficients at the ends of their 95 % intervals.
 
         The first model has all coefficients at the lower ends, the second model at the upper ends.
-        The interval of a term that has only an upper limit begins at 0. R is replaced by its
+        The interval of a term that has only an upper limit begins at 0. A term that is not in the
+        model is 0 in both models. R is replaced by its
         magnitude, and Q by 0. Shapes and sinusoids are unchanged.
 
         Parameters
@@ -286,8 +288,8 @@ def dominant_regions(curve: AllanCurve, fit: AxisFit) -> list[Region]:
     """Return ranges of averaging times, each with its dominant term.
 
     A term or process dominates where it has the largest share of the Allan variance of the model.
-    Adjacent ranges that are narrower than a factor of 3 in tau are merged. A narrow range
-    without a narrow neighbor gets the two terms with the largest shares.
+    Adjacent ranges that are narrower than a factor of 3 in tau are merged. A narrow range without a
+    narrow neighbor gets the two terms with the largest shares, if the model has two terms.
 
     The ranges are contiguous, cover the measured curve, and are sorted by tau. The list is empty if
     the model or the curve is empty.

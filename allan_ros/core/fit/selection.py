@@ -7,7 +7,8 @@ Method
 Processes are added one at a time. Every candidate is rated by an approximation of its gain in
 -2 log L: the square of the score divided by the information. The best candidate of each kind is
 fitted, and its shape is improved. Of these fits, the selection keeps the one whose gain exceeds the
-threshold of its kind by the largest amount. It ends if no gain exceeds the threshold.
+threshold of its kind by the largest amount. It ends if no gain exceeds the threshold, after six
+processes, or if the processes imitate a low-pass filter.
 """
 
 from __future__ import annotations
@@ -80,7 +81,7 @@ class Selection:
     signed : tuple of int
         Indices of the coefficients that may be negative: terms of a low-pass filter.
     shortest : float
-        Shortest correlation time of a process without a frequency, in samples.
+        Shortest correlation time of an added process without a frequency, in samples.
     fastest : float
         Highest frequency of the candidates for a sinusoid or a resonance, in cycles per sample. The
         frequency of a selected process is refined, and can be higher.
@@ -111,7 +112,7 @@ class Selection:
 
     @cached_property
     def base_fit(self) -> Fit:
-        """Fit of the components that every model contains (`base`)."""
+        """Fit of the components of `base` alone."""
         return self.fit(self.base)
 
     def selected(self) -> tuple[Selection, Fit]:
@@ -163,7 +164,7 @@ class Selection:
 
         Only the frequency of a strong sinusoid is searched for. Such a sinusoid also adds power to
         the bins of the longest blocks of samples, so that the likelihood has many maxima within one
-        bin. All of these maxima are tried.
+        bin. Closely spaced frequencies up to half a bin away are tried.
         """
         last = fit.components[-1]
         share = float(np.max(fit.p[-1] * fit.columns.power[:, -1] / fit.spectrum(), initial=0.0))
@@ -211,8 +212,8 @@ class Selection:
         """Return the fit after the shapes of some components were improved.
 
         ``which`` are the indices of these components. The direction of a change is a step of Fisher
-        scoring for all coefficients and shapes together. The search ends when the likelihood no
-        longer increases, at the latest after ``rounds`` steps.
+        scoring for all coefficients and shapes together. The search ends when -2 log L decreases by
+        less than `TOLERANCE`, at the latest after ``rounds`` steps.
         """
         which = list(which)
         for _ in range(rounds):
@@ -274,7 +275,7 @@ class Selection:
         """Return whether processes have the smooth spectrum of a low-pass filter.
 
         Such processes are several sinusoids within one octave, or a broad resonance near the
-        highest frequency of a spectrum that bends. Sinusoids six octaves below the highest
+        highest frequency of a spectrum that bends. Sinusoids six octaves or more below the highest
         frequency do not count, because a filter does not bend the spectrum there.
         """
         frequencies = (c.shape[0] for c in fit.components if c.is_line)

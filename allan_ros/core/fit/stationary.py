@@ -156,8 +156,8 @@ def fit_likelihood(sums: AllanSums, of_axes: Sequence[Statistics] = ()) -> Noise
     ``of_axes`` are the statistics of the sums for each axis, if they are already computed. They
     must take the settling of a sensor into account (see `statistics`).
 
-    Too few data raise no error: a term that the data do not determine has no value and no limit,
-    and a finding reports the axis. An axis whose spectra are not finite has no values and no
+    Too few data raise no error: an axis with too few statistics has no values and no limits, and a
+    finding reports the axis. An axis whose spectra are not finite has no values and no
     finding.
     """
     tau0 = sums.tau0 or 1.0
@@ -379,6 +379,8 @@ def _fit_with_scatter(fit: AxisFit, white: float, drift: float) -> AxisFit:
 
 def _predicted(estimate: Estimate, half: float) -> Estimate:
     """Return an estimate with its predictive interval, or with a larger upper limit.
+
+    An estimate without an interval and without a limit is returned unchanged.
 
     ``half`` is half of the width of the 95 % interval of the logarithm of the value in another
     hour.

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Statistics of a noise process, derived from its autocovariance `Process.gamma`.
 
-The time unit is the sample period, and the coefficient of the process is 1.
+The time unit is the sample period. The coefficient of the process is 1, except in `simulate`.
 
 Method
 ------
@@ -76,7 +76,8 @@ def simulate(parts: Iterable[tuple[float, Process]], n: int, rng: np.random.Gene
     18, 1997): gamma, continued to an even periodic sequence, is the first row of a circulant
     covariance matrix, whose eigenvalues are the Fourier transform of this row. The constant in
     gamma and an infinite spectrum at frequency 0 change only the mean, so that flicker noise and
-    random walk are exact, too. Ramps and sinusoids are computed by `Process.sample`.
+    random walk are exact, too. The autocovariance is approximate if eigenvalues of the largest
+    matrix are negative (`LONGEST_CIRCLE`). Ramps and sinusoids are computed by `Process.sample`.
     """
     from scipy import fft  # slow to import, and rarely needed
 
@@ -122,8 +123,8 @@ def _draw(eigenvalues: Floats, rng: np.random.Generator) -> Floats:
     """Return a random stationary sequence, (2 * half,), with a circulant covariance matrix.
 
     ``eigenvalues``, (half + 1,), are the eigenvalues of this matrix for frequencies from 0 to 1/2.
-    The autocovariance of the sequence is correct for lags of up to ``half``, so that only half + 1
-    successive values can be used.
+    The autocovariance of the sequence is correct for lags of up to ``half``, so that at most
+    half + 1 successive values can be used.
     """
     from scipy import fft
 

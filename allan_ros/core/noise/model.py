@@ -22,8 +22,8 @@ CONTINUOUS = 1e-6
 time, or of 1 s if all given times are longer."""
 
 LARGEST_VARIANCE = 1e300
-"""Largest variance of an error. Larger variances are set to this value, because documents contain
-finite numbers only."""
+"""Largest variance of an error due to one part of a model. Larger variances are set to this value,
+because documents contain finite numbers only."""
 
 BY_LETTER: Mapping[str, Process] = {
     one.letter: one() for one in PROCESSES.values() if one.letter and not one.parameters
@@ -208,7 +208,7 @@ class Model:
             Averaging times in s.
         tau0 : float
             Sample period in s. The result is for sampled noise (random walk in discrete steps,
-            aliased sinusoids). With 0, the result is for continuous time.
+            aliased sinusoids). With 0, the result approximates continuous time.
 
         Returns
         -------
@@ -288,7 +288,8 @@ class Model:
         4.0
         """
         variances = self.growth_variances(horizon, window).values()
-        return np.asarray(np.sqrt(np.maximum(sum(variances, np.zeros(np.shape(horizon))), 0.0)))
+        zeros = np.zeros(np.broadcast_shapes(np.shape(horizon), np.shape(window)))
+        return np.asarray(np.sqrt(np.maximum(sum(variances, zeros), 0.0)))
 
     def growth_variances(self, horizon: ArrayLike, window: ArrayLike) -> dict[Process, Floats]:
         """Return a dict that maps each process to the variance of the error due to this process.

@@ -34,8 +34,9 @@ GAIN_RESOLVED = 5.41
 The value is 2.326^2, for false alarms of 1 % (one-sided). Measured: 1.0 % for B and for K."""
 
 LEAST_PERIODS = 3.0
-"""Fewest periods of a sinusoid or resonance in the longest segment. An oscillation with fewer
-periods cannot be told from a slow drift."""
+"""Fewest periods, in the longest segment, of a sinusoid or resonance in a search. An oscillation
+with fewer periods cannot be told from a slow drift. A daily cycle is not searched for, and may have
+fewer periods (`sinusoid.daily_cycle`)."""
 
 
 class Parameter(NamedTuple):
@@ -49,8 +50,9 @@ class Parameter(NamedTuple):
 
 
 CORRELATION_TIME = Parameter('correlation_time', 's', 0.7, 1e-3)
-"""Time in which the autocovariance, or its envelope for a resonance, decays to 1/e. A step of a
-search changes this time by at most a factor of about two."""
+"""Time in which the autocovariance decays to 1/e: for a resonance its envelope, for rounding errors
+the envelope of the first term of their series. A step of a search changes this time by at most a
+factor of about two."""
 
 FREQUENCY = Parameter('frequency', 'Hz', 0.06, 1e-4)
 """Frequency of an oscillation. A step of a search changes the frequency by at most about 6 %: half

@@ -50,5 +50,5 @@ class Flicker(Process):
 
 
 def _square_log(t: Floats) -> Floats:
-    """Return t^2 ln|t|, which is 0 at t = 0."""
+    """Return t^2 ln(t) for t of 0 or above; it is 0 at t = 0."""
     return np.asarray(t * t * np.log(np.where(t > 0.0, t, 1.0)))

@@ -16,11 +16,11 @@ from ..process import CORRELATION_TIME, Floats, Process, Search, States
 FAST = 8.0
 """Correlation time in samples below which a process looks like low-pass filtered white noise.
 
-Such a process is added to a model only if 2 log L is larger by `GAIN_RESOLVED` than for a model of
-a low-pass filter (terms in f^2 and f^4), which has as many parameters. Measured differences of
-2 log L: at most 1.9 for real filters that remove up to 15 % of the power; at least 6.9 for a
-process with a correlation time of 2 samples and a third of the standard deviation of the white
-noise, in 10 min at 100 Hz."""
+A model with such a process passes its tests only if 2 log L is larger by `GAIN_RESOLVED` than for a
+model of a low-pass filter (terms in f^2 and f^4), which has as many parameters. Measured
+differences of 2 log L: at most 1.9 for real filters that remove up to 15 % of the power; at least
+6.9 for a process with a correlation time of 2 samples and a third of the standard deviation of the
+white noise, in 10 min at 100 Hz."""
 
 
 @dataclass(frozen=True)

@@ -61,7 +61,7 @@ class Sinusoid(Process):
 
     @classmethod
     def grid(cls, search: Search) -> Iterator[Process]:
-        """Yield sinusoids whose frequencies are half a bin apart.
+        """Yield sinusoids whose frequencies are half a bin apart within each octave.
 
         Below the lowest bin, each next sinusoid has half a period more in the longest segment.
         """
