@@ -18,7 +18,8 @@ Ends = tuple[float, float]
 
 Status = Literal['estimated', 'likely', 'not_observable']
 """Whether a number is resolved ('estimated') or not ('likely', 'not_observable'). The estimated
-square of a 'likely' number exceeds 0 by more than the standard error of this square."""
+square of a 'likely' number exceeds 0 by more than the standard error of this square. Numbers that
+are not compared with 0, such as a bias, are 'estimated'."""
 
 Z_95 = 1.96
 """Normal quantile of 97.5 %, for both ends of a 95 % interval and for a 95 % upper limit.
@@ -55,8 +56,9 @@ class Estimate:
         95 % upper limit of a number that is not resolved; None if there is no limit. For a number
         that can be negative, ``upper95`` limits the magnitude.
     status : 'estimated', 'likely' or 'not_observable'
-        'estimated' if the data show that the number is not 0. A 'likely' number is not resolved,
-        but its estimated square exceeds 0 by more than the standard error of this square.
+        'estimated' if the data show that the number is not 0, or if the number is not compared
+        with 0, such as a bias or a coefficient of method 'paper'. A 'likely' number is not
+        resolved, but its estimated square exceeds 0 by more than the standard error of this square.
     lower95 : float or None
         95 % lower limit of a number whose interval has no upper end, else None.
     predictive_ci95 : (low, high) or None
@@ -132,7 +134,7 @@ class Estimate:
 
     @property
     def resolved(self) -> bool:
-        """Whether the value is known and the data show that it is not 0."""
+        """Whether the value is known and has the status 'estimated'."""
         return self.status == 'estimated' and self.value is not None
 
     @property

@@ -74,7 +74,7 @@ class Finding:
         Id of the finding in the catalog, such as 'vibration'.
     severity : 'error', 'warning' or 'info'
     axes : tuple of str
-        The affected axes; empty if all axes are affected.
+        The affected axes; empty if all axes are affected, or if the finding is not about axes.
     values : mapping of str to int, float, str or Estimate
         The values in the text: quantities in SI, times in s, frequencies in Hz, angles in deg,
         shares from 0 to 1. In a merged finding, a value is a tuple if the axes have different
@@ -158,7 +158,7 @@ def finding(id: str, axes: tuple[str, ...] = (), **values: object) -> Finding:
     id : str
         Id of the finding in the catalog.
     axes : tuple of str
-        The affected axes; empty for all axes.
+        The affected axes; empty for all axes, or if the finding is not about axes.
     values : int, float, str, Estimate or tuple of Estimate
         The values that the catalog lists for this id. Only optional values and ``when``, a text
         such as ' in the last 20 s', may be missing. A quantity is given as the result of

@@ -89,7 +89,8 @@ class CommonNoise:
         all IMUs is 1.
     leak : float
         Share of common noise in the power of the difference of two IMUs, for the pair of IMUs with
-        the largest share. This noise would be mistaken for own noise.
+        the largest share. This noise would be mistaken for own noise. 0 if there are too few
+        samples to measure it (`transfer`).
     """
 
     axis: str

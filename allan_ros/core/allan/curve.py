@@ -40,7 +40,7 @@ table 2). Flicker phase noise (1) counts as white phase noise, whose curve has t
 
 LONGEST_LAG = 6
 """Largest lag, in averaging factors m, up to which squared correlations of second differences are
-summed. For flicker noise, larger lags would change the sum by less than 1e-4."""
+summed. For flicker noise, larger lags would change the sum by about 5e-4 of itself."""
 
 
 def edf(noise_type: int, m: int, stride: int, counts: ArrayLike, number: ArrayLike = 1) -> float:

@@ -55,7 +55,7 @@ class Transfer(NamedTuple):
         Factor with which each sensor measures the signal; the geometric mean of the factors is 1.
     leak : float
         Share of the common signal in the power of the difference of two sensors, for the pair with
-        the largest share, after the factors are corrected.
+        the largest share, after the factors are corrected; 0 if there are too few samples.
     """
 
     gains: Floats

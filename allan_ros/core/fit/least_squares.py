@@ -13,7 +13,7 @@ for Q, K and R. The method gives no intervals.
 Curves of other tools
 ---------------------
 `fit_curve` fits a curve that another tool has computed. The covariance of the points is unknown
-without the samples. The points are therefore decimated to four per octave and treated as
+without the samples. The points are therefore decimated to about four per octave and treated as
 independent, each with the degrees of freedom of an overlapping estimate. The intervals are
 approximate.
 """
@@ -95,7 +95,8 @@ def _axis_fit(squares: Floats, sign: int) -> AxisFit:
 
 
 POINTS_PER_OCTAVE = 4
-"""Largest number of points per octave that are used from a curve of another tool."""
+"""Number of intervals per octave into which a curve of another tool is divided. The first point in
+each interval is used."""
 
 DEFAULT_RECORD = 9.0
 """Length of a recording divided by the longest averaging time of its curve, if the length is
@@ -137,7 +138,7 @@ def fit_curve(tau: ArrayLike, adev: ArrayLike, record: float | None = None) -> A
     ------
     AllanError
         If there are too few valid points, or if ``record`` is not finite or is shorter than twice
-        the longest averaging time that is used (at most four points per octave are).
+        the longest averaging time that is used (about four points per octave are used).
 
     Examples
     --------
@@ -173,7 +174,7 @@ def fit_curve(tau: ArrayLike, adev: ArrayLike, record: float | None = None) -> A
 
 
 def _decimated(tau: Floats, adev: Floats) -> tuple[Floats, Floats]:
-    """Return averaging times, ascending, and Allan variances of at most 4 valid points per octave.
+    """Return averaging times, ascending, and Allan variances of about 4 valid points per octave.
 
     Raises AllanError if there are too few valid points.
     """

@@ -114,7 +114,7 @@ def temperature_models(
         Sums with block means.
     time_ns, celsius : (readings,) arrays
         Times of the temperature readings in ns on the clock of the sums, ascending, and the
-        temperatures in degC.
+        temperatures in degC; at least two readings.
     model : NoiseModel
         Fit of the same axes, from which white noise and fast processes are taken.
     """

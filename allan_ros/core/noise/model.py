@@ -47,7 +47,8 @@ class Part(NamedTuple):
         95 % interval of the coefficient; None if it is unknown. The intervals of the five terms are
         not in a model but in `AxisFit.noise`.
     shape_ci95 : tuple of (low, high)
-        95 % interval of each shape parameter; empty if the intervals are unknown.
+        95 % interval of each shape parameter; empty if the intervals are unknown. The interval of a
+        shape that is known instead of fitted, such as the period of a daily cycle, has the width 0.
     """
 
     process: Process
@@ -68,7 +69,7 @@ class Covariance:
         stands for a process that replaces this term. R and a low-pass filter are not included.
     matrix : (names, names) array
         Covariance of the squared coefficients (N^2, sigma^2, amplitude^2 ...) in SI. It includes
-        the uncertainty of the correlation times and frequencies.
+        the uncertainty of the fitted correlation times and frequencies.
     """
 
     names: tuple[str, ...]
@@ -237,7 +238,7 @@ class Model:
         -------
         dict of name to (times,) float64 array
             Keys are the titles of the processes, such as 'N' and 'GM 300 s'. Values are in the
-            squared unit of the samples.
+            squared unit of the samples. The value of a low-pass filter may be negative.
         """
         tau = np.asarray(tau, float)
         step = tau0 or CONTINUOUS * float(tau.min(initial=1.0))

@@ -53,6 +53,13 @@ def test_growth_is_that_of_the_state_space(space, horizon, window):
     assert model.growth(horizon, window) == pytest.approx(expected, rel=1e-6)
 
 
+def test_growth_has_the_broadcast_shape_also_without_noise():
+    horizon, window = np.array([[1.0], [2.0]]), np.array([3.0, 4.0, 5.0])
+    for model in (Model(), Model.of(N=1.0)):
+        assert model.growth(horizon, window).shape == (2, 3)
+        assert model.growth(1.0, window).shape == (3,)
+
+
 def test_growth_of_a_ramp_and_of_a_sinusoid_of_any_phase():
     horizon, window = 30.0, 12.0
     ramp = horizon * (horizon + window) / 2.0
