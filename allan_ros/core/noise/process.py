@@ -146,7 +146,10 @@ class Process:
     """The shape parameters, in the order of the fields."""
 
     finding: ClassVar[str] = ''
-    """Id of the finding that reports the process; '' if none does."""
+    """Id of the finding that reports the process; '' if none does.
+
+    A sinusoid below 0.5 Hz is reported by another finding (`fit_findings.line_finding`).
+    """
 
     no_states: ClassVar[str] = ''
     """Why a Kalman filter has no exact states for the process; '' if `states` returns states."""
