@@ -130,11 +130,19 @@ def recordings_in(path: str, files_are_units: bool = False) -> list[str]:
     children = sorted(folder.iterdir())
     files = [child for child in children if child.suffix.lower() in SUFFIXES and child.is_file()]
     files = [file for file in files if file.name != SUMMARY]
-    bags = [child for child in children if child.is_dir() and (child / METADATA).is_file()]
+    bags = [child for child in children if _contains_a_bag(child)]
     if _is_one_bag(files, files_are_units) and not bags:
         analyses = [child for child in children if (child / RESULTS).is_file()]
         return [str(each) for each in analyses] if analyses and not files else [path]
     return [str(each) for each in (*bags, *files)]
+
+
+def _contains_a_bag(path: Path) -> bool:
+    """Return whether a path is a folder with a metadata.yaml, or directly with files of a bag."""
+    try:
+        return any(child.name == METADATA or child.suffix in STORAGES for child in path.iterdir())
+    except OSError:  # no folder, or an unreadable one
+        return False
 
 
 def _is_one_bag(files: Sequence[Path], files_are_units: bool) -> bool:

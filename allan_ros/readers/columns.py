@@ -150,8 +150,8 @@ class ColumnLayout:
             )
         if not self.stamp and not with_times:
             raise AllanError(
-                f'{where}: no column ({listed(names)}) contains the time: name one t, or state the '
-                'sample rate (--rate 200, rate=200)'
+                f'{where}: no column ({listed(names)}) contains the time: name it with '
+                '--columns t=NAME, or state the sample rate (--rate 200, rate=200)'
             )
 
     def with_time_unit(

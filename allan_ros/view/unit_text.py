@@ -73,14 +73,20 @@ def checks_text(checks: Sequence[Check], plan: Plan) -> str:
         groups.setdefault(key, []).append(check)
     texts = []
     for (_, _, limits, note), group in groups.items():
-        values = ' '.join(measured_text(check.measured, limits).split(' ')[0] for check in group)
+        values = ', '.join(_number_text(check.measured, limits) for check in group)
         if len(group) == 1:
             values = measured_text(group[0].measured, limits)
         reason = f', because {note}' if note else ''
-        value_text = 'is unknown' if not values.strip('- ') else values
+        value_text = 'is unknown' if not values.strip('-, ') else values
         texts.append(f'{name_of(group)} {value_text}{reason} (limit {limits_text(limits)})')
     remaining = [f'{len(texts) - SHOWN_CHECKS} more'] if len(texts) > SHOWN_CHECKS else []
     return '; '.join([*texts[:SHOWN_CHECKS], *remaining])
+
+
+def _number_text(measured: Estimate, limits: Limits) -> str:
+    """Return a measured number, or ``< limit``, without interval and unit of measurement."""
+    words = measured_text(measured, limits).split(' ')
+    return ' '.join(words[:2]) if words[0] == '<' else words[0]
 
 
 def unit_sentences(check: UnitCheck, results: Results, units: str) -> list[str]:
