@@ -161,7 +161,7 @@ class Row:
 
     @property
     def values(self) -> tuple[float, ...]:
-        """The value as a tuple: one number, three for x, y and z, or the nine of a matrix."""
+        """The value as a tuple: the items of a list, such as three numbers, or the only value."""
         return tuple(self.value) if isinstance(self.value, list) else (self.value,)
 
     @property
@@ -306,7 +306,7 @@ def line_form(line: str, before: str = '', after: str = '') -> Form:
 def xml_form(rows: Sequence[Row], header: Sequence[str]) -> str:
     """Return a fragment of XML; a key that starts with '@' is an attribute of its element."""
     # an XML comment must not contain two hyphens in a row
-    lines = ''.join(f'  {line.replace("--", "- -")}\n' for line in header)
+    lines = ''.join(f'  {re.sub("-(?=-)", "- ", line)}\n' for line in header)
     return f'<!--\n{lines}-->\n' + '\n'.join(_elements(nested(rows))) + '\n'
 
 

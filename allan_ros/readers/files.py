@@ -186,7 +186,10 @@ def write_together(
 
 
 def check_replaceable(path: Path) -> None:
-    """Raise AllanError if the path is a folder, FIFO, device or socket; it may be missing."""
+    """Raise AllanError if the path is a folder, FIFO, device or socket; it may be missing.
+
+    Raises OSError if the type of the file cannot be determined.
+    """
     with contextlib.suppress(FileNotFoundError):
         if not stat.S_ISREG(os.stat(path).st_mode):
             raise _not_regular(path)
@@ -201,7 +204,8 @@ def unwritable(path: Path, error: OSError) -> AllanError:
 
 
 MAX_BYTES = 16 * 2**20
-"""Largest accepted size of a JSON document in bytes. Documents of this package are far smaller."""
+"""Largest accepted size of a JSON document in bytes. Most documents of this package are far
+smaller."""
 
 
 def to_json(document: Mapping[str, Any]) -> str:
@@ -223,7 +227,8 @@ def parse_json(text: str, where: str) -> object:
     """Parse a JSON text; ``where`` is the name of the text in error messages.
 
     Raises AllanError if the text is too long, invalid or nested too deeply, or contains the words
-    NaN or Infinity as numbers, an integer of more than 20 characters, or an unpaired surrogate.
+    NaN or Infinity as numbers, an integer of more than 20 characters, or the escape sequence of an
+    unpaired surrogate.
     """
     if len(text) > MAX_BYTES:
         raise AllanError(
@@ -284,14 +289,14 @@ def parse_yaml(text: str) -> Any:
         return loader.get_single_data()
     except RecursionError:
         raise yaml.YAMLError('it is nested too deeply') from None
-    except (ValueError, LookupError, AttributeError) as error:  # for example, an invalid date
+    except (ValueError, ArithmeticError, LookupError, AttributeError) as error:  # an invalid date
         raise yaml.YAMLError(str(error)) from error
     finally:
         loader.dispose()
 
 
 def expanded(path: str | Path) -> Path:
-    """Return a path in which the home folder replaces ``~``.
+    """Return a path in which the home folder replaces ``~`` at its start.
 
     Unlike `Path.expanduser`, this function raises no error if the user or the home folder does not
     exist: the path is then returned unchanged.
@@ -345,15 +350,15 @@ def config_file(kind: str, name: str, called: str) -> Path:
     if path.suffix.lower() in ('.yaml', '.yml'):
         return expanded(path)
     if path.name == name:
-        for folder in config_folders(kind):
-            file = folder / f'{name.lower()}.yaml'
-            if file.is_file():
-                return file
         equal_names = [
             known for known in config_names(kind) if _simplified(known) == _simplified(name)
         ]
-        if len(equal_names) == 1:  # for example, mpu6050 instead of mpu-6050
-            return config_file(kind, equal_names[0], called)
+        # the only equal name is, for example, mpu-6050 instead of mpu6050
+        for stem in (name.lower(), *(equal_names if len(equal_names) == 1 else ())):
+            for folder in config_folders(kind):
+                file = folder / f'{stem}.yaml'
+                if file.is_file():
+                    return file
     raise AllanError(
         f'no {called} {name!r}: {_suggestion(name.lower(), config_names(kind))}, '
         'or give the path of a .yaml file'
@@ -397,9 +402,11 @@ def _simplified(name: str) -> str:
 
 
 class PathLock:
-    """A lock that lets only one process write the file at a path; the file need not exist.
+    """A lock for writing the file at a path, which one process has at a time.
 
-    A hidden file next to the file is locked, because each writing replaces the file itself.
+    The file may be missing. A hidden file next to the file is locked, because each writing replaces
+    the file itself. On Windows, and on file systems without locks, several processes can acquire
+    the lock.
     """
 
     def __init__(self, path: Path) -> None:
@@ -408,7 +415,7 @@ class PathLock:
         self._handle: int | None = None
 
     def acquire(self) -> str:
-        """Try to acquire the lock; return '' on success, otherwise the name of its present owner.
+        """Try to acquire the lock; return '' on success, otherwise a name of its owner.
 
         Raises AllanError if the lock file cannot be created or opened, or is not a regular file.
         """

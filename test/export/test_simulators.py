@@ -19,7 +19,8 @@ from allan_ros.core.estimate import Estimate
 from allan_ros.core.filters.state_space import StateSpace
 from allan_ros.core.noise import PROCESSES, Part
 from allan_ros.core.noise.processes.sinusoid import Sinusoid
-from allan_ros.export import TARGETS, ExportOptions, make_export
+from allan_ros.export import TARGETS, ExportOptions, Row, make_export
+from allan_ros.export.target import xml_form
 from allan_ros.results.results import Results
 
 
@@ -121,3 +122,9 @@ def test_the_loader_of_the_manual_reads_the_matrices(
         np.testing.assert_allclose(phi, space.transition(1.0 / 200.0), rtol=1e-11)
         np.testing.assert_allclose(noise, space.noise(1.0 / 200.0), rtol=1e-9)
         assert sample == near(space.sample_variance(200.0))
+
+
+def test_an_xml_comment_has_no_two_hyphens_in_a_row() -> None:
+    text = xml_form([Row(('x',), 1.0)], ['source: a---b ----', 'inflate with --inflate'])
+    assert '--' not in text.removeprefix('<!--').replace('-->', '', 1)
+    assert ElementTree.fromstring(text).text == '1.0'

@@ -67,6 +67,21 @@ def test_configuration_files_are_found_without_a_home_folder(
     assert config_file('sensors', 'mpu6050', 'datasheet').name == 'mpu-6050.yaml'
 
 
+def test_a_configuration_file_may_have_capital_letters_in_its_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv('XDG_CONFIG_HOME', str(tmp_path))
+    file = tmp_path / 'allan_ros' / 'sensors' / 'My-IMU.yaml'
+    file.parent.mkdir(parents=True)
+    file.write_text('name: mine')
+    for name in ('My-IMU', 'my-imu', 'myimu'):
+        assert config_file('sensors', name, 'datasheet') == file
+    file.unlink()
+    file.symlink_to(tmp_path / 'missing')
+    with pytest.raises(AllanError, match='no datasheet'):
+        config_file('sensors', 'My-IMU', 'datasheet')
+
+
 def test_a_date_that_does_not_exist_is_an_error_of_the_file(tmp_path: Path) -> None:
     path = tmp_path / 'a.yaml'
     path.write_text('measured: 2024-13-45')
@@ -95,7 +110,9 @@ def test_slow_documents_are_rejected(text: str) -> None:
         parse_yaml(text)
 
 
-@pytest.mark.parametrize('text', ['2026-02-30', '!!bool x', '!!int ""', '!!timestamp x'])
+@pytest.mark.parametrize(
+    'text', ['2026-02-30', '!!bool x', '!!int ""', '!!timestamp x', f'1{":1" * 200}.5']
+)
 def test_a_value_that_contradicts_its_tag_is_an_error_of_the_yaml_file(text: str) -> None:
     with pytest.raises(yaml.YAMLError):
         parse_yaml(text)
