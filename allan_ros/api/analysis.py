@@ -180,7 +180,7 @@ def results_of(
 
 
 def is_document(path: str | os.PathLike[str]) -> bool:
-    """Return whether a path is a JSON file or the folder of an analysis, and not a recording."""
+    """Return whether a path has the suffix .json, or is the folder of an analysis."""
     place = Path(path)
     has_document = any((place / name).is_file() for name in (RESULTS, SUMS))
     return has_document or place.suffix.lower() == '.json'
@@ -206,7 +206,7 @@ def analyze(
 ) -> Results:
     """Measure the noise of an IMU from its recordings or samples.
 
-    Motion and gaps are detected and excluded.
+    By default, motion and gaps are detected and excluded.
 
     Parameters
     ----------
@@ -246,7 +246,8 @@ def analyze(
         Serial number of the IMU. Results with a common axis can be added only if their serial
         numbers and frame_ids are equal.
     processes : int
-        Number of recordings that are read at the same time, each in its own process.
+        Largest number of recordings that are read at the same time, each in its own process. With
+        1, they are read in this process.
     **options
         Further options of `allan analyze`, with underscores. For example, ``skip`` is the time in s
         that is excluded at the start, ``motion_gate=False`` uses all data, and ``topic`` selects a

@@ -236,8 +236,8 @@ def inflate(
         The robot at rest with motors off: results, or the path of a results.json, a sums.json, the
         folder of an analysis, or a recording.
     running : Results or path
-        The robot at rest with motors on. All samples of a recording are used, because the
-        vibration of motors could be mistaken for motion.
+        The robot at rest with motors on. No samples of a recording are excluded as motion, because
+        the vibration of motors could be mistaken for motion.
     horizon : float
         Longest time in s for which the state estimator integrates the IMU without a correction.
     observer : Observer

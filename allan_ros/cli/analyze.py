@@ -76,7 +76,7 @@ READ: tuple[Option | Settings, ...] = (
     ),
     Option(
         ('--hardware-id',),
-        'serial number of the IMU; Allan sums with different serial numbers are never added',
+        'serial number of the IMU; Allan sums of an axis are added only if these numbers agree',
         'TEXT',
         default='',
     ),
@@ -116,13 +116,14 @@ the file, from 0 on, to the name of the bag."""
 
 
 def recordings_in(path: str, files_are_units: bool = False) -> list[str]:
-    """Return the paths of all recordings in a folder, or only ``path`` if it is one recording.
+    """Return the paths of the recordings in a folder, or only ``path`` if it is one recording.
 
-    A folder is one recording if it has a metadata.yaml, or contains only one bag or its numbered
-    parts. With ``files_are_units``, numbered files without metadata.yaml are separate recordings.
-    If a folder contains only folders of analyses, the paths of all these folders are returned. A
-    folder that is itself the result of an analysis, or contains nothing to read, is returned as it
-    is, too. The paths are sorted, with the folders of bags before the files.
+    Of the folders in the folder, only bags with a metadata.yaml are recordings. A folder is one
+    recording if it has a metadata.yaml, or contains only one bag or its numbered parts. With
+    ``files_are_units``, numbered files without metadata.yaml are separate recordings. If a folder
+    contains folders of analyses and no recording, the paths of these folders are returned. A folder
+    that is itself the result of an analysis, or contains nothing to read, is returned as it is,
+    too. The paths are sorted, with the folders of bags before the files.
     """
     folder = Path(path)
     if not folder.is_dir() or (folder / METADATA).exists() or is_document(folder):
@@ -331,7 +332,7 @@ An input is a rosbag2 folder, a file ({', '.join(SUFFIXES)}), or
 the Allan sums of an earlier analysis: its folder, sums.json, or the checkpoint of a node. Several
 inputs must be of the same IMU: their Allan sums are added. A folder of separate recordings is a
 batch: each recording has its own results, and a summary lists all recordings. The same applies to a
-bag with several Imu topics.
+bag with several Imu topics, unless several inputs are given.
 
   allan analyze my_bag -o results
   allan analyze monday.mcap results_of_tuesday -o results --export openvins,px4

@@ -130,9 +130,10 @@ class Judge:
 def run_batch(jobs: Sequence[ReadJob], args: argparse.Namespace) -> int:
     """Analyze each recording, write its files, and print one line for each recording.
 
-    If the command line states a folder for the output, a summary of all recordings is written, too.
-    Returns the worst exit code of the recordings. Raises AllanError if the folder or the summary
-    cannot be written, or the cluster cannot be used.
+    With ``--quiet`` and a folder for the output, no lines are printed. If the command line states a
+    folder for the output, a summary of all recordings is written, too. Returns the worst exit code
+    of the recordings. Raises AllanError if the folder or the summary cannot be written, or the
+    cluster cannot be used.
     """
     console, codes, units = Console.of(args), [], []
     judge = Judge(args, None, decides=False)
@@ -182,8 +183,9 @@ def run_check(
 ) -> int:
     """Print one line for each unit as soon as it is checked, then the totals of several units.
 
-    If the command line states a folder for the output, the files of each unit and a summary of all
-    units are written, too. Returns the worst exit code of the units.
+    With ``--quiet`` and without ``--json``, nothing is printed. If the command line states a folder
+    for the output, the files of each unit and a summary of all units are written, too. Returns the
+    worst exit code of the units.
 
     Parameters
     ----------

@@ -24,7 +24,7 @@ EXIT_ERROR, EXIT_FAULT = 1, 70
 """Exit codes for an error that the user can fix, and for a bug."""
 
 UNLIMITED = 100_000
-"""Width in columns if there is no terminal and ``COLUMNS`` is not set: lines are not wrapped."""
+"""Width in columns if there is no terminal and ``COLUMNS`` is not set: practically unlimited."""
 
 LABEL = 30
 """Largest number of characters in the label of a progress bar. Only the end of a longer label is

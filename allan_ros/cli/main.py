@@ -191,7 +191,7 @@ def _exits_text(exits: dict[int, str]) -> str:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one verb and return the exit code; errors become one line on stderr.
+    """Run one verb and return the exit code; errors during the run become one line on stderr.
 
     ``argv`` are the words after the name of the program, by default from ``sys.argv``. Raises
     SystemExit for an unknown or invalid argument, and after ``--help`` or ``--version``.

@@ -15,7 +15,7 @@ T = TypeVar('T')
 
 
 class Settings(NamedTuple):
-    """A group of options, one for each field of a settings class."""
+    """A group of options, one for each field of a settings class that has a help text."""
 
     title: str  # heading of the group in the help
     kind: type[Any]  # the settings class

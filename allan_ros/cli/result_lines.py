@@ -115,7 +115,7 @@ def results_lines(
     units : str
         'deg/h' or 'SI'.
     columns : int
-        Width of the text in characters.
+        Width of the text in characters; the headings are not wrapped.
     colors : bool
         Whether the text contains ANSI colors.
     complete : bool
@@ -249,7 +249,8 @@ def comparison_lines(comparison: RunComparison, units: str, columns: int) -> Ite
 
     The lines are sentences, a table for each sensor, and the comparisons with datasheets and with
     measured values of other IMUs of the same type. ``units`` is 'deg/h' or 'SI', and ``columns`` is
-    the width of the text in characters.
+    the width of the text in characters. Labels and comparisons with measured values are not
+    wrapped.
     """
     for sentence in sentences(comparison):
         yield from wrapped(sentence, columns, '  ')

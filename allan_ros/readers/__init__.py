@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Open any recording of an IMU: a bag (a folder or a file), a table, an array or a PX4 log.
+"""Open recordings of IMUs: a bag (a folder or a file), a table, an array or a PX4 log.
 
 `FORMATS` states the module and the function that open a recording of each format. The function
 returns a `Recording`, which yields samples in SI units as `ImuBatch`.

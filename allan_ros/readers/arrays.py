@@ -5,7 +5,7 @@
 Columns
 -------
 `ReadOptions.columns` names the columns of a file. By default, the columns are t, gx, gy, gz, ax,
-ay, az in s, rad/s and m/s^2, or some of these (`COLUMN_NAMES`). In a ``.npz`` file, the array
+ay, az in rad/s and m/s^2, or some of these (`COLUMN_NAMES`). In a ``.npz`` file, the array
 ``stamps_ns`` (int64) is used instead of t. The arrays ``record_ns`` (int64) and ``frame_id`` (one
 string) are optional.
 """

@@ -53,7 +53,8 @@ class Survey:
 
     topics: dict[TopicKey, Topic] = field(default_factory=dict)
     counts: Counter[TopicKey] = field(default_factory=Counter)
-    # truncation of the first truncated file; None if no file is truncated
+    # truncation of the first truncated file; None if no file is truncated, or metadata.yaml states
+    # the numbers of messages
     truncation: Truncation | None = None
 
     def listed(self, keys: Iterable[TopicKey]) -> str:
@@ -77,7 +78,9 @@ class Survey:
 class Bag:
     """The files of one bag in the order of recording, and its topics according to metadata.yaml.
 
-    ``described`` is None without metadata.yaml. At most one file is open at a time.
+    The order is stated by metadata.yaml or, without it, by the numbers in the file names.
+    ``described`` is None without metadata.yaml, or if the bag is a single file. At most one file is
+    open at a time.
     """
 
     def __init__(self, path: Path, files: tuple[Path, ...], described: Survey | None) -> None:
@@ -129,9 +132,9 @@ class Bag:
         """Return the topics of the bag, and the number of messages of each topic.
 
         The numbers are taken from metadata.yaml. If this file is missing, or states no Imu
-        messages, which may be wrong, the messages in all files are counted, and the larger number
-        is used for each topic. Raises AllanError when a file that is opened is missing, damaged, or
-        not a bag; the first file is always opened.
+        messages, which may be wrong, each file is asked for its numbers of messages, and the larger
+        number is used for each topic. Raises AllanError when a file that is opened is missing,
+        damaged, or not a bag; the first file is always opened.
         """
         described = self.described or Survey()
         survey = Survey(described.topics.copy(), described.counts.copy())

@@ -47,7 +47,7 @@ class Topic:
 
 
 Payloads = list[bytes | memoryview] | NDArray[np.void]
-"""Serialized messages: a list, or an array if all messages have the same length."""
+"""Serialized messages: a list, or an array, in which all messages have the same length."""
 
 
 @dataclass
@@ -133,7 +133,8 @@ def decompress(data: bytes | memoryview, compression: str, limit: int) -> bytes:
     Raises
     ------
     ValueError
-        When the compression is unknown, the data are damaged, or the content exceeds the limit.
+        When the compression is unknown, the library finds that the data are damaged, or the content
+        exceeds the limit.
     AllanError
         When the Python package for this compression is missing.
     """

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Decode and encode serialized `sensor_msgs/Imu` messages, and change their covariances.
 
-The layout of a message depends only on its byte order and on the length of ``header.frame_id``.
+In each serialization, the layout depends only on byte order and length of ``header.frame_id``.
 Messages with the same layout are decoded together, as an array of records.
 
 Serializations

@@ -2,9 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Recognize the columns of a table or DataFrame by their names.
 
-Only the end of a name matters, so ``gx``, ``gyro_x [deg/s]``, ``angular_velocity.x``,
+The end of a name states the axis, so ``gx``, ``gyro_x [deg/s]``, ``angular_velocity.x``,
 ``/imu/angular_velocity/x`` and ``w_RS_S_x [rad s^-1]`` are the same axis. For samples, the unit in
-the name takes precedence over the unit in the options; for stamps, the unit in the options does.
+the name takes precedence over the unit in the options; for stamps in one column, the unit in the
+options does.
 """
 
 from __future__ import annotations
@@ -35,7 +36,8 @@ LEFT_OUT = '-'
 EXAMPLE_COLUMNS = 't,gx,gy,gz,ax,ay,az'
 
 FIRST_ROWS = 200
-"""Number of rows from which the unit of the stamps is recognized."""
+"""Largest number of rows from which the unit of the stamps is recognized. The first row of a text
+file without a header is used in addition."""
 
 NO_UNIT, DATES = 0, -1
 """Values that are used instead of a factor to ns: `NO_UNIT` if the unit of the times is not stated,
@@ -107,7 +109,7 @@ class Meaning(NamedTuple):
     axis: str = ''  # 'x', 'y' or 'z' for a column of a sensor
     unit: str = ''  # unit according to the name; '' if the name states none
     unknown: str = ''  # text at the place of the unit if it is no known unit; otherwise ''
-    is_si: bool = False  # whether columns with this name are always in SI
+    is_si: bool = False  # whether the unit is known to be SI if none is stated
 
 
 @dataclass(frozen=True)
@@ -119,12 +121,12 @@ class ColumnLayout:
     stamp: tuple[tuple[int, int], ...]
     record: tuple[tuple[int, int], ...]  # (column, factor to ns) of the record time, if any
     temperature: tuple[int, str] | None  # column of the temperature, unit ('' if not stated)
-    units: dict[str, str]  # sensor -> unit of its columns
+    units: dict[str, str]  # sensor -> unit of its first column
     assumed: dict[str, str]  # sensor -> name of a column for which SI is assumed
     # unit of the stamps if it was inferred from their increments, and may be wrong; else ''
     time_unit: str = ''
     unclear_time: str = ''  # unknown unit in the name of the time column; '' if there is none
-    unrecognized: tuple[str, ...] = ()  # names of columns without a known meaning
+    unrecognized: tuple[str, ...] = ()  # names of columns without a known meaning, except '-'
 
     @property
     def given(self) -> tuple[str, ...]:
@@ -159,10 +161,10 @@ class ColumnLayout:
     ) -> ColumnLayout:
         """Return the layout with the unit of the stamps.
 
-        The layout is returned unchanged if there are no times, or if the stamp is not one column.
-        The unit is taken from the options, otherwise from the name of the column. If neither states
-        a unit, the unit is recognized from the stamps: by their size if they are times since 1970,
-        otherwise by their increments.
+        The layout is returned unchanged if there are no times, if the stamp is not one column, or
+        if only the name of the column states the unit. The unit is taken from the options,
+        otherwise from the name of the column. If neither states a unit, the unit is recognized from
+        the stamps: by their size if they are times since 1970, otherwise by their increments.
 
         Parameters
         ----------
@@ -176,8 +178,8 @@ class ColumnLayout:
         Raises
         ------
         AllanError
-            When the options state no unit, and the unit in the name is unknown or contradicts the
-            stamps.
+            When the options state no unit, and the unit in the name is unknown or contradicts at
+            least `ENOUGH` stamps since 1970.
         """
         if len(self.stamp) != 1 or not len(times):
             return self
@@ -212,8 +214,8 @@ FASTEST_MS = 0.3
 is a sample rate of about 3 kHz; a smaller increment would mean an implausible rate."""
 
 ENOUGH = 100
-"""An implausible unit of time is reported only for tables with at least this number of rows.
-Shorter tables are not measurements."""
+"""An implausible unit in a column name, and stamps that may be in ms and not in s, are reported
+only for tables with at least this number of rows. Shorter tables are hardly measurements."""
 
 LONGEST_STEP = {'s': 2.0, 'ms': 300.0, 'us': 3e5}
 """Unit of time -> smallest increment, in this unit, for which the next smaller unit is more
@@ -229,7 +231,8 @@ def _step(times: NDArray[np.float64]) -> float:
 def _unit_by_size(times: NDArray[np.float64]) -> str:
     """Return the unit in which stamps, (n,), are times since 1970; '' if there is no such unit.
 
-    In this unit, the median of the positive increments, if any, must be a plausible period.
+    The first stamp decides. In this unit, the median of the positive increments, if any, must be a
+    plausible period.
     """
     for unit in RECOGNIZED_UNITS:
         unit_ns = STAMP_UNITS[unit]
@@ -254,7 +257,7 @@ def columns_of(where: object, names: Iterable[str], options: ReadOptions) -> Col
         Name of the table in error messages.
     names : iterable of str
         Names of the columns. If several columns contain times, `_STAMPS` states which of them are
-        used.
+        used; of several columns of one kind, the first is used.
     options : ReadOptions
         Units for columns whose names state no unit, and raw counts per unit of the samples.
 

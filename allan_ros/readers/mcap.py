@@ -83,9 +83,9 @@ REMEDY = 'copy it again, or repair it with "mcap recover"'
 class Chunk:
     """A chunk of a file, or a sequence of messages outside chunks (``loose``).
 
-    ``start_ns`` is the smallest record time of the messages. ``offset`` and ``length`` state where
-    the content is in the file. ``next`` is the offset after the content or, if the summary lists
-    the chunk, after the message index of the chunk.
+    ``start_ns`` is the smallest record time of the messages, as the file states it. ``offset`` and
+    ``length`` state where the content is in the file. ``next`` is the offset after the content or,
+    if the summary lists the chunk, after the message index of the chunk.
     """
 
     start_ns: int
@@ -101,7 +101,8 @@ class Contents:
 
     topics: dict[int, Topic] = field(default_factory=dict)
     schemas: dict[int, str] = field(default_factory=dict)  # number of a schema -> message type
-    counted: Counter[int] = field(default_factory=Counter)  # channel -> number of messages read
+    # channel -> number of messages, counted or, if a summary lists chunks, according to the summary
+    counted: Counter[int] = field(default_factory=Counter)
     # channel -> number of messages according to the Statistics record
     stated: Counter[int] = field(default_factory=Counter)
     totals: tuple[int, ...] = ()  # fields of `STATISTICS_HEAD`; empty without a Statistics record

@@ -31,14 +31,14 @@ if TYPE_CHECKING:
     from ..core.stream.signal import TemperatureTrace
 
 BATCH = 32768
-"""Number of samples per batch. A batch fits into the processor cache, and is so large that the
-overhead for each batch is negligible."""
+"""Largest number of samples per batch. Such a batch fits into the processor cache, and is so large
+that the overhead for each batch is negligible."""
 
 METADATA = 'metadata.yaml'
 
 MAX_CHUNK_BYTES = 128 * 2**20
-"""Largest accepted size of a chunk or record of a file in bytes, compressed or not. Recorders write
-chunks of about 1 MB."""
+"""Largest accepted size of a chunk or record of a file in bytes, compressed or not. By default,
+recorders write chunks of about 1 MB."""
 
 MAX_FILE_RATIO = 250
 """Largest accepted size of a decompressed file: this many times its compressed size, plus
@@ -163,7 +163,7 @@ class Recording:
     accel : Recording or None
         Recording of the accelerometer if this sensor has a separate topic; None otherwise.
     other_topics : sequence of str
-        Other Imu topics of the bag, the most similar name first.
+        Other Imu topics of the bag, the topic with the longest common namespace first.
     findings : tuple of Finding
         Findings of the reader, complete after all samples have been read.
     """
@@ -183,9 +183,10 @@ class Recording:
         self.options = self.options.with_units()
 
     def batches(self) -> Iterator[ImuBatch]:
-        """Yield the samples in order, in batches of about `BATCH` samples with one frame_id each.
+        """Yield the samples in order, in batches of at most `BATCH` samples with one frame_id each.
 
-        Raises AllanError when a part of the recording cannot be read.
+        Raises AllanError when the recording cannot be read. A truncated or partly damaged recording
+        can be read in part; `findings` then state the damage.
         """
         findings: list[Finding] = []
         for batch in self.read(findings.append):
@@ -248,7 +249,7 @@ MOST_LISTED = 10
 
 
 def listed(names: Sequence[str]) -> str:
-    """Return the first `MOST_LISTED` names and the number of further names, as text."""
+    """Return the first `MOST_LISTED` names and the number of further names, if any, as text."""
     text = ', '.join(names[:MOST_LISTED])
     n_more = len(names) - MOST_LISTED
     return f'{text} and {n_more} more' if n_more > 0 else text

@@ -41,7 +41,7 @@ class Provenance:
 
     Segments are in the order of time. Findings come from the reader and the stream. Settings are
     plain values. ``last_stamp_ns`` is the latest stamp in the sums of a node, so that samples do
-    not count twice if simulated time jumps back.
+    not count twice if simulated time jumps back; it is None for a recording.
     """
 
     sources: tuple[SourceInfo, ...] = ()
@@ -93,7 +93,7 @@ class RecordingSums:
     """
 
     name: str  # path of the first recording
-    sums: tuple[AllanSums, ...]  # one for all axes, or one for each sensor if the rates differ
+    sums: tuple[AllanSums, ...]  # one for all axes, or separate ones for gyro and accel
     provenance: Provenance = field(default_factory=Provenance)
     signals: tuple[SignalEnvelope, ...] = ()  # signal of each recording
     # temperature over time of each recording; None for a recording without temperature
@@ -127,7 +127,7 @@ class RecordingSums:
         )
 
     def temperature_readings(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """Return the times in ns, (n,), and values in degC, (n,), of all temperature readings.
+        """Return the times in ns, (n,), and values in degC, (n,), of the kept temperature readings.
 
         The readings are sorted by time. The times of the readings of a recording are header stamps
         if at least two of these stamps lie between the first and the last used sample of all
@@ -176,7 +176,7 @@ class ReadJob:
             )
 
     def open(self) -> Recording:
-        """Open the recording; the samples of a bag or table are not read yet.
+        """Open the recording; of a bag or table, at most the first rows of samples are read yet.
 
         Raises AllanError when the recording cannot be opened.
         """
@@ -309,7 +309,8 @@ def _no_data(job: ReadJob, topic: str, counts: Counts, findings: Sequence[Findin
 def _share_a_segment(a: AllanSums, b: AllanSums) -> bool:
     """Return whether ``a`` and ``b`` have a segment in common.
 
-    Two segments with equal block means have the same samples, because noise never repeats.
+    Segments with the same start and equal block means are regarded as the same samples, because
+    noise hardly repeats.
     """
     return any(
         (means_a.samples, means_a.start_ns) == (means_b.samples, means_b.start_ns)
@@ -365,7 +366,7 @@ def read_in_processes(
     Parameters
     ----------
     jobs : sequence of ReadJob
-        The recordings.
+        The recordings, at least one.
     processes : int
         Largest number of processes.
     observer : Observer
@@ -422,9 +423,9 @@ def _interrupts_blocked() -> Iterator[None]:
 def add_recordings(recordings: Iterable[RecordingSums]) -> RecordingSums:
     """Return the Allan sums of all recordings of one IMU, added in the order of their start.
 
-    Phone apps write one recording for each sensor. If all recordings are pairs of a gyro and an
-    accelerometer that were recorded at the same time, each pair is joined as the two sensors of one
-    IMU. Raises AllanError when recordings cannot be added.
+    There must be at least one recording. Phone apps write one recording for each sensor. If all
+    recordings are pairs of a gyro and an accelerometer that were recorded at the same time, each
+    pair is joined as the two sensors of one IMU. Raises AllanError when recordings cannot be added.
     """
     return reduce(add, _with_both_sensors(sorted(recordings, key=_start_ns)))
 

@@ -23,7 +23,7 @@ from .recording import damaged, optional_package, translated
 MAGIC = b'#ROSBAG V2.0\n'
 
 MESSAGES = 2048
-"""Number of messages that are read together from a ROS 1 bag."""
+"""Largest number of messages that are read together from a ROS 1 bag."""
 
 REMEDY = 'copy it again, or repair it with "rosbag reindex" or "rosbag fix"'
 

@@ -3,7 +3,7 @@
 """Read the samples of an Imu topic, and the temperature of the IMU, from a bag.
 
 The Imu topic is found by its message type. Messages are decoded in blocks, so the required memory
-does not depend on the size of the bag.
+hardly depends on the size of the bag.
 """
 
 from __future__ import annotations

@@ -105,7 +105,7 @@ def _custom_data(path: Path) -> Mapping[str, Any]:
 
 
 def _first_value(path: Path, name: str) -> object:
-    """Return the first value in the column or array ``name``; None if there is no value."""
+    """Return the value in the first row of the column or array ``name``; None if there is none."""
     if path.suffix.lower() == '.npz':
         from .arrays import array_in
 

@@ -23,7 +23,7 @@ FETCHED_ROWS = 512
 """Number of rows that are fetched from SQLite at a time: few enough for the processor cache."""
 
 BLOCK_ROWS = 4 * FETCHED_ROWS
-"""Number of messages that are decoded together."""
+"""Largest number of messages that are decoded together."""
 
 _LIBRARY_ERRORS = (sqlite3.Error, OSError, OverflowError, ValueError, TypeError, AttributeError)
 """Exceptions that a damaged database can cause, for example because of a value of another type."""

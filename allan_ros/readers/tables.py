@@ -76,8 +76,9 @@ are not used. The third column is the frame_id."""
 def open_table(path: Path, options: ReadOptions) -> Recording:
     """Open a table of numbers in a text file as a recording.
 
-    Raises AllanError when the file is not a table, when the table has no rows or no axis, or when
-    the names of its columns, its times or a unit are unknown.
+    Raises AllanError when the file is not a table, when the table has no rows or no axis, when the
+    names of its columns or the unit of an axis or of the times are unknown, or when it has no times
+    and the options state no rate.
     """
     with _text(path) as file:
         table = _layout(path, file, options)
@@ -88,7 +89,7 @@ def open_table(path: Path, options: ReadOptions) -> Recording:
 
 @dataclass
 class _SampleTable:
-    """A table of samples: its layout, and the temperatures in the rows that were read."""
+    """A table of samples: its layout, and temperatures in some of the rows that were read."""
 
     path: Path
     delimiter: str  # ',', ';' or tab; '' for white space
@@ -124,7 +125,7 @@ class _SampleTable:
                 yield batch
 
     def temperature(self, frame_id: str = '') -> TemperatureTrace | None:
-        """Return the temperature over time; None if the rows that were read contain none."""
+        """Return the temperature over time; None if no row that was read has a plausible one."""
         if self.columns.temperature is None:
             return None
         column, _ = self.columns.temperature
@@ -236,7 +237,8 @@ def _names(
     Raises
     ------
     AllanError
-        When the names are unknown, or do not match the columns.
+        When neither the file nor the options state names, or the names in the options do not match
+        the columns.
     """
     given_names = tuple(name.strip() for name in columns)
     are_pairs = bool(given_names) and all('=' in name for name in given_names)
@@ -381,7 +383,7 @@ class _TableRows:
     def _nanoseconds(self, column: int, scale: int) -> NDArray[np.int64]:
         """Convert a column of times to ns; the only error is the rounding to whole ns.
 
-        ``scale`` is the size of the unit of the times in ns, or `DATES`.
+        Dates are rounded down. ``scale`` is the size of the unit of the times in ns, or `DATES`.
         """
         if scale == 1:
             with suppress(ValueError, OverflowError):

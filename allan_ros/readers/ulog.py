@@ -47,8 +47,8 @@ MAX_LOG_BYTES = 4 * 2**30
 """Largest size of a log in bytes. The parser keeps the data of the topics in memory."""
 
 MAX_SEEKS = 50_000
-"""Number of damaged bytes after which reading stops. The parser needs about a second for so many
-damaged bytes."""
+"""Number of seeks after which reading stops. The parser seeks once for each damaged byte, and needs
+about a second for so many."""
 
 REMEDY = 'copy the log again'
 

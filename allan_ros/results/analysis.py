@@ -53,7 +53,7 @@ _restore = ExitStack()
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Limit BLAS to one thread within the context.
+    """Limit OpenBLAS on Linux to one thread within the context.
 
     Several Python threads may be in the context at the same time.
     """
@@ -191,7 +191,7 @@ def analyze_sums(
     Parameters
     ----------
     sums : sequence of AllanSums
-        One item with all axes, or one item for each sensor if the rates of the sensors differ.
+        One item with all axes, or separate items for gyro and accelerometer.
     provenance : Provenance
         Origin of the sums.
     method : str

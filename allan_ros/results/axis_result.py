@@ -46,8 +46,9 @@ class AxisResult:
     name : str
         Name of the axis, such as 'gyro_z'.
     rounding : float or None
-        Step to which the samples are rounded, in SI; None if no step is found, or if the variance
-        of the rounding error is at most 10 % or at least 105 % of the variance of the white noise.
+        Step to which the samples are rounded, in SI; None if no step is found, if N is unknown, or
+        if the variance of the rounding error is at most 10 % or at least 105 % of the variance of
+        the white noise.
     turn_on : TurnOnBias or None
         Scatter of the bias between recordings; None for fewer than two recordings.
     temperature : TemperatureModel or None
@@ -112,9 +113,9 @@ class AxisResult:
         """Noise processes that were fitted in addition to the five terms, or instead of a term.
 
         Each item of ``processes['gauss_markov']`` or ``processes['sinusoid']`` has a ``value`` in
-        SI (a standard deviation or an amplitude) and the 95 % interval ``ci95`` of this value. The
-        ``process`` of the item has shape parameters: ``correlation_time`` in s, or ``frequency`` in
-        Hz. ``shape_ci95`` contains the 95 % intervals of these parameters.
+        SI (a standard deviation or an amplitude) and the 95 % interval ``ci95`` of this value (None
+        if it is unknown). The ``process`` of the item has shape parameters: ``correlation_time`` in
+        s, or ``frequency`` in Hz. ``shape_ci95`` contains the 95 % intervals of these parameters.
 
         Examples
         --------
@@ -220,8 +221,9 @@ class AxisResult:
         """Return the Allan deviation of the fitted model at the points of the curve, in SI.
 
         ``adev`` is the Allan deviation of the model, and ``upper`` is the Allan deviation of the
-        model with every unresolved term at its 95 % upper limit. Both arrays, (factors,), are NaN
-        at short averaging times that the model does not describe, and empty if there is no curve.
+        model with every unresolved term at its 95 % upper limit, if it is known. Both arrays,
+        (factors,), are NaN at short averaging times that the model does not describe, and empty if
+        there is no curve.
         """
         curve = self.curve
         if curve is None:

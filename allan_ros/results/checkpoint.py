@@ -38,12 +38,13 @@ class Checkpoint:
     """A file with the Allan sums of all runs of a node.
 
     The sums of earlier runs are added to the sums of the present run, and the total is saved. A
-    damaged file is renamed. A file whose sums have a wrong unit of measurement is renamed as soon
-    as the present samples have the right unit. A file of another version or IMU is never
-    overwritten: nothing is written until this file is moved away, or its IMU is connected again.
+    damaged file is renamed if possible. A file whose sums have a wrong unit of measurement is
+    renamed as soon as the present samples have the right unit. A file of another version or IMU is
+    never overwritten: nothing is written until this file is moved away, or its IMU is connected
+    again.
 
     Only regular files are read, renamed or replaced, and only if no other node has locked the path.
-    Problems never stop the node: each is logged once and becomes a finding.
+    Problems never stop the node: each is logged when it begins, and becomes a finding.
 
     Parameters
     ----------
@@ -57,10 +58,11 @@ class Checkpoint:
     Attributes
     ----------
     earlier : (sums, provenance)
-        Content of the file when the present run began: the sums of all earlier runs.
+        The sums of earlier runs: the content of the file when the present run began. Empty after
+        the file was renamed.
     loaded : Finding or None
-        Finding that the file was renamed, because it was damaged, or because its sums had a wrong
-        unit of measurement; None if it was not renamed.
+        Finding that the file is not used, because it was damaged and was renamed, or because its
+        sums had a wrong unit of measurement; None otherwise.
     refused : Finding or None
         The reason why the file cannot be replaced at present.
     """
@@ -116,7 +118,7 @@ class Checkpoint:
         """Return the sums of all runs, given the sums and the provenance of this run.
 
         Only the sums of this run are returned if the file is of another IMU, has other axes or
-        another unit of measurement, cannot be read, or is used by another node.
+        another unit of measurement, cannot be read, or is used by another node, or without a path.
         """
         self._has_new_samples = bool(sums)
         if sums and _has_wrong_unit(self.earlier[0]) and not _has_wrong_unit(sums):

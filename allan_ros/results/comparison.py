@@ -39,7 +39,8 @@ class RunComparison:
     checked : tuple of (label, Results)
         Results compared with a datasheet; one pair for each recording and each datasheet.
     family_error : float
-        Probability of at least one significant difference if all recordings have equal noise.
+        Largest probability of at least one significant difference if all recordings have equal
+        noise.
     within : float
         Fraction by which coefficients may differ and still be called equal; 0 for no such test.
     """
@@ -59,8 +60,8 @@ class RunComparison:
     def equivalent(self) -> bool:
         """Whether the recordings have the same coefficients up to the fraction ``within``.
 
-        N of all axes must be shown to be the same. The test may be undecided for other terms, but
-        must not show a difference.
+        N of all compared axes must be shown to be the same. The test may be undecided for other
+        terms, but must not show a difference.
         """
         outcomes = (
             (d.quantity, d.equivalence(self.within))

@@ -320,7 +320,7 @@ def sensor_names() -> list[str]:
 def load_sensor(name: str) -> Datasheet:
     """Read a datasheet, given its name or the path of its .yaml file.
 
-    Raises AllanError if the name is unknown or the file is invalid.
+    Raises AllanError if the name is unknown, or the file cannot be read or is invalid.
     """
     fields = _file(name)
     if 'carries' not in fields:

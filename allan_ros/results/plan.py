@@ -330,7 +330,8 @@ def plan_from_document(document: object, where: str) -> Plan:
 def _limits(fields: Fields, quantity: str, unit: str) -> Limits:
     """Return the limits in an object with the keys lower, upper and unit.
 
-    One of the two limits may be missing. Raises AllanError if the object is invalid.
+    One of the two limits may be missing, unless the quantity can be negative. Raises AllanError if
+    the object is invalid.
     """
     optional_keys = {'bias': ('at',), 'orientation': ('up',)}.get(quantity, ())
     fields.only('lower', 'upper', 'unit', *optional_keys)
@@ -381,10 +382,11 @@ def _direction(fields: Fields) -> tuple[float, float, float]:
 
 
 def plan_text(sheet: Datasheet) -> str:
-    """Return a test plan as YAML text that limits N and B to the figures of a datasheet.
+    """Return a test plan as YAML text, whose limits of N and B follow from a datasheet.
 
-    The plan also has usual limits for gravity and for the share of used samples. Limits that the
-    user must state, such as the sample rate, are comments.
+    The upper limits exceed the figures by the fraction `MARGIN`. The plan also has usual limits for
+    gravity and for the share of used samples. Limits that the user must state, such as the sample
+    rate, are comments.
     """
     lines = [
         f'# Test plan from the datasheet of {sheet.name}.',

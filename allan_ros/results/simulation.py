@@ -214,7 +214,10 @@ def write_truth(
 
 
 def is_truth(path: str | os.PathLike[str]) -> bool:
-    """Return whether the file at a path is a truth file, judged by its name and schema."""
+    """Return whether the file at a path is a truth file, judged by its name and schema.
+
+    Raises AllanError if a file with such a name cannot be read.
+    """
     file_path = Path(path)
     if not (file_path.name == 'truth.json' or file_path.name.endswith(TRUTH_SUFFIX)):
         return False

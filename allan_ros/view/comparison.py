@@ -331,7 +331,7 @@ def inflation_lines(inflation: Inflation, columns: int = WIDE) -> Iterator[str]:
     """Yield the lines of text about the noise with motors on, compared with motors off.
 
     The lines contain N and K, the ratios of the Allan deviations, and the option for `allan
-    export`. ``columns`` is the width of the text in characters.
+    export`. ``columns`` is the width of the tables in characters; the other lines are not wrapped.
     """
     yield f'N and K for a filter, over {horizon_text(inflation.horizon)}'
     yield from terminal_lines(inflation_table(inflation), columns)
@@ -400,7 +400,8 @@ def common_table(common: CommonResult, units: str = 'deg/h') -> Table:
 def common_lines(common: CommonResult, units: str = 'deg/h', columns: int = WIDE) -> Iterator[str]:
     """Yield the lines of the table of common noise, and the warnings and errors of the recordings.
 
-    ``units`` is 'deg/h' or 'SI', and ``columns`` is the width of the text in characters.
+    ``units`` is 'deg/h' or 'SI', and ``columns`` is the width of the table in characters. Warnings
+    and errors are not wrapped.
     """
     yield from terminal_lines(common_table(common, units), columns)
     for label, found in common.findings.items():

@@ -95,7 +95,8 @@ def finding_line(finding: Finding, units: str = 'deg/h') -> str:
 def finding_document(finding: Finding, units: str = 'deg/h') -> dict[str, Any]:
     """Return a finding as a JSON object.
 
-    Its texts use ``units``, which is 'deg/h' or 'SI'. Its values are always in SI.
+    Its texts use ``units``, which is 'deg/h' or 'SI', unless the finding has texts from a document
+    (`Finding.stated`). Its values are in SI.
     """
     return {**finding.document(), **texts_of(finding, units)._asdict()}
 
@@ -199,4 +200,5 @@ listed instead if the largest is more than `APART` times the smallest, because a
 misread, for example as a band of frequencies."""
 
 FAST_DEG_H = 36.0
-"""Angular rates of at least this size, in deg/h, are printed in deg/s."""
+"""Size in deg/h from which an angular rate of the signal, unlike biases and noise, is printed in
+deg/s instead of deg/h."""

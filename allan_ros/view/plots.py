@@ -44,7 +44,8 @@ RC: dict[str, Any] = {
     'svg.fonttype': 'none',
     'svg.hashsalt': 'allan_ros',
 }
-"""Settings of all figures. Fonts are embedded in a PDF as TrueType (42), as journals require."""
+"""Settings of the figures that this module creates. Fonts are embedded in a PDF as TrueType (42),
+as journals require."""
 
 WIDTH_IN, ROW_IN, HEAD_IN = 7.16, 1.9, 0.7
 """Width of a figure (the width of the text on a page of IEEE journals), height of a panel, and

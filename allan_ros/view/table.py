@@ -43,8 +43,8 @@ class Heading(NamedTuple):
     The explanation ``note`` is shown only in HTML; ``align``, ``wraps`` and ``repeats`` are used
     only in the terminal. ``align`` is the alignment of a column. If ``wraps`` is set, the texts of
     the column are broken into lines that fit the terminal; other columns are as wide as their
-    content. If a table is too wide and therefore split, each part contains the columns for which
-    ``repeats`` is set.
+    content, unless a single column does not fit. If a table is too wide and therefore split, each
+    part contains the columns for which ``repeats`` is set.
     """
 
     name: str

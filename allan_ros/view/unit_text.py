@@ -17,7 +17,8 @@ from .finding_text import texts_of
 from .verdict_text import finding_text, verdict_of
 
 SHOWN_CHECKS, SHOWN_FINDINGS = 4, 2
-"""Largest number of quantities and largest number of findings in the line about an IMU."""
+"""Largest number of quantities with one verdict, and largest number of findings besides a broken
+axis or a wrong unit, in the line about an IMU."""
 
 
 def limits_text(limits: Limits) -> str:

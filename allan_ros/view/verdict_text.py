@@ -244,8 +244,8 @@ SHOWN_UNUSED_SHARE = 0.01
 def used_samples(results: Results) -> str:
     """Return the number of used samples as text, such as '60,000 samples'.
 
-    If more than `SHOWN_UNUSED_SHARE` of the samples are unused, the text also states the number of
-    received samples: '737,856 of 1,000,000 samples'.
+    If more than `SHOWN_UNUSED_SHARE` of the samples of a single topic are unused, the text also
+    states the number of received samples: '737,856 of 1,000,000 samples'.
     """
     used, counts = results.samples, results.provenance.counts
     # with two topics, the counts are for both topics, but `used` is for one topic

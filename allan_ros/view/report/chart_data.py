@@ -59,8 +59,8 @@ def sensor_charts(results: Results, sensor: str, summary: SignalSummary | None) 
 def rounded(values: ArrayLike, digits: int = 5) -> list[float | None]:
     """Return values of any unit, (n,), rounded to ``digits`` significant digits.
 
-    NaN and infinity become None. Rounding to five digits moves a point of a chart by less than a
-    tenth of a pixel.
+    NaN and infinity become None. Rounding to five digits moves a point of a chart that is not
+    enlarged by less than a tenth of a pixel.
     """
     numbers = np.asarray(values, float).tolist()
     return [float(f'{v:.{digits}g}') if math.isfinite(v) else None for v in numbers]
@@ -265,7 +265,8 @@ def trends(results: Results, sensor: str, summary: SignalSummary | None) -> list
 
     The charts are computed from the ``summary`` of the raw signal. The list is empty without a
     summary, and if the bias is known at fewer than `LEAST_TREND_POINTS` times. The chart of the
-    bias over temperature is missing if the temperature is unknown or nearly constant.
+    bias over temperature is missing if the temperature is unknown or nearly constant, or is known
+    at too few of these times.
     """
     names = [name for name in AXES[SENSORS[sensor]] if name in results.axes]
     if summary is None or not names:

@@ -68,8 +68,8 @@ def filter_html(results: Results) -> str:
 def growth_html(axes: Axes) -> Iterator[str]:
     """Yield an HTML table of the predicted angle or velocity error without correction.
 
-    If the results are from several recordings, notes state the scatter of the bias of each axis
-    between the recordings.
+    The table is omitted if an axis has no prediction. If the results are from several recordings,
+    notes state the scatter of the bias of each axis between the recordings.
     """
     if all(axis.growth for axis in axes.values()):
         yield _scrolled('comparison', partial(error_growth_table, axes))
