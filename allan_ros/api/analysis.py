@@ -182,7 +182,7 @@ def results_of(
 def is_document(path: str | os.PathLike[str]) -> bool:
     """Return whether a path has the suffix .json, or is the folder of an analysis."""
     place = Path(path)
-    has_document = any((place / name).is_file() for name in (RESULTS, SUMS))
+    has_document = any(os.path.isfile(place / name) for name in (RESULTS, SUMS))
     return has_document or place.suffix.lower() == '.json'
 
 

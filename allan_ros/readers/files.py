@@ -357,7 +357,7 @@ def config_file(kind: str, name: str, called: str) -> Path:
         for stem in (name.lower(), *(equal_names if len(equal_names) == 1 else ())):
             for folder in config_folders(kind):
                 file = folder / f'{stem}.yaml'
-                if file.is_file():
+                if os.path.isfile(file):  # unlike `Path.is_file`, it accepts any name
                     return file
     raise AllanError(
         f'no {called} {name!r}: {_suggestion(name.lower(), config_names(kind))}, '
@@ -375,7 +375,7 @@ def config_folders(kind: str) -> list[Path]:
     this_file = Path(__file__).resolve()
     folders = [Path(home) / 'allan_ros' / kind, this_file.parents[2] / 'config' / kind]
     folders += [parent / 'share' / 'allan_ros' / 'config' / kind for parent in this_file.parents]
-    return [folder for folder in folders if folder.is_dir()]
+    return [folder for folder in folders if os.path.isdir(folder)]
 
 
 NEAREST, LISTED_NAMES = 3, 8

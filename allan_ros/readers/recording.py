@@ -152,8 +152,9 @@ class Recording:
     read : callable
         Function that yields the samples in batches, and calls its argument with each finding.
     temperature : callable
-        Function that returns the temperature over time of the IMU with a given frame_id, or None
-        if the temperature is not recorded. Call this function after the samples have been read.
+        Function that returns the temperature over time of the IMU with a given frame_id, or None if
+        the temperature is not recorded, or may be from another IMU. Call this function after the
+        samples have been read.
     options : ReadOptions
         The options, with the units that were found or assumed.
     axes : tuple of str

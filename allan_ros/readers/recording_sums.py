@@ -39,9 +39,11 @@ from .recording import ReadOptions, Recording, SourceInfo
 class Provenance:
     """The origin of Allan sums, stored with the sums in `sums.json` and `results.json`.
 
-    Segments are in the order of time. Findings come from the reader and the stream. Settings are
-    plain values. ``last_stamp_ns`` is the latest stamp in the sums of a node, so that samples do
-    not count twice if simulated time jumps back; it is None for a recording.
+    ``segments`` contains at most the `health.LISTED_SEGMENTS` longest segments of each recording,
+    in the order of time. A document lists the longest segments first. Findings come from the reader
+    and the stream. Settings are plain values. ``last_stamp_ns`` is the latest stamp in the sums of
+    a node, so that samples do not count twice if simulated time jumps back; it is None for a
+    recording.
     """
 
     sources: tuple[SourceInfo, ...] = ()
@@ -70,7 +72,7 @@ class Provenance:
 
     @property
     def start(self) -> datetime | None:
-        """Start of the first segment in UTC, in whole seconds.
+        """Start of the first of the listed segments in UTC, in whole seconds.
 
         It is None without segments, or if the stamps do not count from 1970.
         """
@@ -98,7 +100,7 @@ class RecordingSums:
     signals: tuple[SignalEnvelope, ...] = ()  # signal of each recording
     # temperature over time of each recording; None for a recording without temperature
     temperatures: tuple[TemperatureTrace | None, ...] = ()
-    events: tuple[Event, ...] = ()  # shocks, motions and changes of the noise
+    events: tuple[Event, ...] = ()  # the longest shocks, motions and changes of noise
     drives: Drives = NO_DRIVES  # errors of the drives, which are motions between two rests
 
     def __add__(self, other: RecordingSums) -> RecordingSums:

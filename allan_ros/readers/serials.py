@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import csv
+import os
 import re
 from collections.abc import Mapping
 from pathlib import Path
@@ -94,9 +95,9 @@ def _custom_data(path: Path) -> Mapping[str, Any]:
     ``path`` is the folder of the rosbag2, or a file in this folder. Raises AllanError if the folder
     contains no metadata.yaml, or if this file cannot be read.
     """
-    folder = path if path.is_dir() else path.parent
+    folder = path if os.path.isdir(path) else path.parent
     file = folder / METADATA
-    if not file.is_file():
+    if not os.path.isfile(file):  # unlike `Path.is_file`, it raises no error without permission
         raise AllanError(f'{path}: no {METADATA}: a serial from metadata needs a rosbag2 folder')
     document = read_yaml(file)
     information = document.get('rosbag2_bagfile_information') if isinstance(document, dict) else {}

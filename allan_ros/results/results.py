@@ -64,7 +64,7 @@ class Results:
     axes : mapping of axis name to AxisResult
         The measured axes: gyro_x, gyro_y, gyro_z, accel_x, accel_y, accel_z, if present.
     provenance : Provenance
-        The recordings, their segments and counts of samples, and the settings.
+        The recordings, their longest segments, counts of samples, and the settings.
     findings : tuple of Finding
         Messages about the recording, the fit, the errors in motion, and the comparison with a
         datasheet.

@@ -16,6 +16,7 @@ from support.recordings import imu_batches, read, refused
 from allan_ros.core.errors import AllanError
 from allan_ros.readers import format_of
 from allan_ros.readers.bag import bag_of
+from allan_ros.readers.files import config_file
 from allan_ros.readers.writing import write_recording
 from allan_ros.results.documents import load
 from fuzz.reading import write_bag
@@ -181,3 +182,5 @@ def test_a_name_that_the_system_rejects_is_one_line() -> None:
         format_of(Path('x' * 300))
     with pytest.raises(AllanError, match='cannot be read'):
         load('x' * 300)
+    with pytest.raises(AllanError, match='no datasheet'):
+        config_file('sensors', 'x' * 300, 'datasheet')
