@@ -22,6 +22,7 @@ from ..core.findings import Finding
 from ..core.fit.fit_findings import ADVISED_TERMS
 from ..core.imu import SENSORS, SI_UNITS, sensor_of, shown_unit
 from ..readers.files import open_regular, write_atomic
+from ..readers.recording import translated
 from ..readers.recording_sums import ReadJob
 from ..results.plan import Limits, Plan, load_plan
 from ..results.results import Results
@@ -159,12 +160,13 @@ def run_batch(jobs: Sequence[ReadJob], args: argparse.Namespace) -> int:
 def unread_units(folder: str) -> list[Outcome]:
     """Return the units that could not be read, according to the summary in a folder.
 
-    The list is empty if the folder has no summary. Raises OSError if the summary cannot be read.
+    The list is empty if the folder has no summary. Raises AllanError if the summary cannot be read.
     """
     path = Path(folder) / SUMMARY
     if not path.is_file():
         return []
-    with open_regular(path) as file:
+    errors = (OSError, csv.Error)
+    with translated(path, errors, 'remove it, or check again'), open_regular(path) as file:
         rows = list(csv.DictReader(io.StringIO(file.read(MAX_SUMMARY).decode('utf-8', 'replace'))))
     return [
         Outcome(

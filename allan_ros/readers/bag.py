@@ -160,7 +160,7 @@ def bag_of(path: Path) -> Bag:
     Raises AllanError when the folder contains no bag, its metadata.yaml is invalid, or one of its
     files is missing, empty, unreadable or not a regular file. A path of one file is not checked.
     """
-    if not path.is_dir():
+    if not os.path.isdir(path):
         return Bag(path, (path,), None)
     with translated(path, (OSError,), 'check its permissions'):
         files, described = _read_metadata(path) if os.path.lexists(path / METADATA) else ((), None)

@@ -53,6 +53,14 @@ def test_a_truncated_log_is_read_as_far_as_it_goes(
     assert {'report.html', 'results.json'} <= {p.name for p in (tmp_path / 'out').iterdir()}
 
 
+def test_a_damaged_summary_of_a_folder_is_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / 'summary.csv').write_text(f'unit,exit_code\n{"x" * 200_000},1\n')
+    assert main(['check', str(tmp_path)]) == 1
+    assert 'summary.csv: cannot be read (field larger' in capsys.readouterr().err
+
+
 def test_a_folder_of_damaged_logs_has_a_line_for_each(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
