@@ -34,7 +34,8 @@ LEARN_S, LEAST_LEARN, LEARN = 11.0, 256, 1024
 At 93 Hz and above, the largest number is used."""
 
 CLOCK_BLOCK = 256
-"""Number of samples in a block. A change of the rate is searched for in each block."""
+"""Number of samples in a block. Unless stamps are bursty, a change of the rate is searched for in
+each block."""
 
 LOOK_AHEAD = 64
 """Number of samples before and after a pause whose delays are compared if stamps are regular."""
@@ -325,14 +326,17 @@ class SampleClock:
         return self._samples.part(slice(self._processed, None))
 
     def feed(self, *parts: ImuBatch) -> list[ImuBatch]:
-        """Add consecutive samples, and return the blocks whose look-ahead is complete."""
+        """Add consecutive samples, and return the blocks whose look-ahead is complete.
+
+        The blocks end at a change of the rate.
+        """
         self._samples = joined([self._samples, *parts])
         while self.clock is None and (number := learned_from(self._samples.stamps_ns)):
             self._learn(number)
         return self._process_ready(self._reach)
 
     def flush(self) -> list[ImuBatch]:
-        """Return the blocks of all buffered samples at the end of the input."""
+        """Return the blocks of all buffered samples, up to a change of the rate, at the end."""
         while self.clock is None and (number_buffered := len(self._samples)):
             self._learn(learned_from(self._samples.stamps_ns) or number_buffered)
         return self._process_ready(0)
@@ -436,9 +440,10 @@ class SampleClock:
 
         ``step``, (n,), are the steps of the stamps in ns; ``steps``, (n,), the steps of the index.
         """
-        # samples from which the period was learned are not tested; otherwise, learning could repeat
-        # forever
-        first_tested = max(0, self._learned - self._blocks * CLOCK_BLOCK)
+        # blocks with samples from which the period was learned are not tested; otherwise, learning
+        # could repeat forever
+        learned_blocks = -(-self._learned // CLOCK_BLOCK)
+        first_tested = max(0, learned_blocks - self._blocks) * CLOCK_BLOCK
         begins = np.arange(first_tested, len(step) - CLOCK_BLOCK // 4 + 1, CLOCK_BLOCK)
         if not len(begins):
             return len(step)

@@ -216,3 +216,21 @@ def test_learning_the_rate_always_ends(monkeypatch):
     monkeypatch.setattr(timing, 'learn_clock', lambda *_: clock)
     _, _, stage = run(stamps)
     assert len(stage.pending) <= len(stamps) - timing.learned_from(stamps)
+
+
+@pytest.mark.parametrize('rate', [30, 50, 80])
+def test_a_change_of_the_rate_is_found_at_the_same_sample_in_batches_of_any_size(rate):
+    """At these rates, the period is not learned from a whole number of blocks."""
+    period = 10**9 // rate
+    later = even(2001, round(period / 1.2), 0)[1:]
+    stamps = np.concatenate([even(2900, period), even(2900, period)[-1] + later])
+    pending = []
+    for size in (64, 500, len(stamps)):
+        stage = SampleClock(1, SegmenterSettings(), False, Counts())
+        rest = [stamps[i : i + size] for i in range(0, len(stamps), size)]
+        while rest and not stage.rate_changed:
+            part = rest.pop(0)
+            stage.feed(ImuBatch.of_rows(part, np.zeros((1, len(part)))))
+        assert stage.rate_changed
+        pending.append(int(stage.pending.stamps_ns[0]))
+    assert len(set(pending)) == 1
