@@ -196,7 +196,7 @@ class NoiseLevels:
         """Discard the present level, which was not noise at rest, and begin another level."""
         if not self.is_tried:
             self._drops += 1
-            self._last_ns = self.present.last_ns
+            self._last_ns = self.present.last_ns or self._last_ns
         self._dropped.add(self.present.counted_as(reason))
         self._forget_ratios()
         self._begin(floor)

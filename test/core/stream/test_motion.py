@@ -241,3 +241,13 @@ def test_vibration_while_tilted_or_turning_is_motion():
         rows = white(240)
         rows[:, 60 * RATE :] += 4 * (rows - MEAN)[:, 60 * RATE :] + np.array(change)[:, None]
         assert gate(rows)[1].noise_increased == 0
+
+
+def test_replacing_a_level_without_samples_does_not_change_the_time_of_the_discarded_data():
+    levels, *_ = start()
+    rows = white(10)
+    levels.present.add(ImuBatch.of_rows(10**18 + np.arange(2000) * 10**9 // RATE, rows))
+    levels.replace_present(None, 'moving')
+    seconds = levels.lost_s
+    levels.replace_present(None, 'moving')
+    assert levels.lost_s == seconds == pytest.approx(10, abs=0.01)
