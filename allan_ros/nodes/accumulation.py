@@ -97,14 +97,15 @@ class SumsOutput:
 
 
 class ImuWatch(NodePart):
-    """Accumulates the Allan sums of one IMU; a restarted node continues the sums in the checkpoint.
+    """Accumulates the Allan sums of one IMU; after a restart, usable checkpoint sums are continued.
 
     ``output`` publishes the sums periodically and for each new subscriber. It also publishes them
-    when they are saved, reset or replaced, when the first means at rest are known, and when the
-    frame_id, axes or faults of the input change. ``sensor`` is the only sensor that is used, or ''
-    for both sensors. ``accel`` is the `ImuWatch` of an accelerometer with its own topic. If
-    ``accel`` is given, ``output`` publishes the sums of both sensors together, also each time that
-    ``accel`` publishes its own sums, and the services reset or save the sums of both.
+    when a service saves or resets them, when many of their samples are replaced, when the first
+    means at rest are known, and when the frame_id, axes or faults of the input change. ``sensor``
+    is the only sensor that is used, or '' for both sensors. ``accel`` is the `ImuWatch` of an
+    accelerometer with its own topic. If ``accel`` is given, ``output`` publishes the sums of both
+    sensors together, also each time that ``accel`` publishes its own sums, and the services reset
+    or save the sums of both.
     """
 
     def __init__(
@@ -174,6 +175,7 @@ class ImuWatch(NodePart):
         """Return the status of the input; also publish the sums if the input has changed."""
         self._update()
         self._checkpoint.tick()
+        is_paused = self._is_paused()
         health, stream_findings = self._health_and_findings()
         statistics = self._input.statistics()
         publishers, graph_findings = self._input.publishers()
@@ -181,7 +183,7 @@ class ImuWatch(NodePart):
         stuck_axes = self._input.constant.stuck(health.rate_hz) if health.rate_hz else ()
         if stuck_axes := tuple(axis for axis in stuck_axes if axis in self._usable_axes):
             stream_findings = (finding('stuck_now', stuck_axes), *stream_findings)
-        if self._is_paused():
+        if is_paused:
             graph_findings = (*graph_findings, finding('playback_paused', topic=self._input.topic))
         input_findings = self._monitor.observe(
             now, statistics, health, publishers, stale_after, stream_findings, graph_findings
@@ -257,8 +259,8 @@ class ImuWatch(NodePart):
         """Return the health and the findings of the stream.
 
         The computation of the sums takes tens of milliseconds. While messages arrive, the sums are
-        therefore computed only after an event (`_events`). If more than `REPLACED_SHARE` of the
-        published samples are missing in the new sums, the new sums are published at once.
+        therefore computed here only after an event (`_events`). If more than `REPLACED_SHARE` of
+        the published samples are missing in the new sums, the new sums are published at once.
         """
         has_new_messages = self._input.received != self._received
         self._received = self._input.received

@@ -427,6 +427,24 @@ def test_paused_playback_is_no_fault_of_the_cable(graph, still_imu):
     graph.until(moves)
 
 
+def test_playback_is_not_paused_while_messages_arrive(graph, still_imu):
+    graph.run('accumulator', **{'use_sim_time': True, 'publish.diagnostics_period': 0.5})
+    publisher, found = graph.publisher(), []
+
+    def arrive() -> bool:
+        graph.send(publisher, still_imu(5))
+        status = graph.status('input')
+        found.append('playback_paused' in str(status.values))
+        return int(graph.value('input', 'received')) > 100
+
+    graph.until(lambda: graph.status('input'))
+    graph.send(publisher, still_imu(5))
+    graph.until(lambda: graph.value('input', 'received') not in ('', '0'))
+    found.clear()
+    graph.until(arrive)
+    assert not any(found)
+
+
 def test_two_nodes_with_one_name_are_reported(graph):
     graph.run('accumulator')
     graph.run('accumulator')
