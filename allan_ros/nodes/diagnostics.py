@@ -40,7 +40,8 @@ LEVELS: Mapping[str, bytes] = {
 """Severity of a finding -> level of a status, which is `bytes` in Python."""
 
 NUMBER_TEXT = r'[-+]?\d+(\.\d*)?(e[-+]?\d+)?'
-"""Pattern of a number. Only values of a status that match this pattern are written as metrics."""
+"""Pattern of a finite number. Values of a status that do not match this pattern are not written as
+metrics."""
 
 FINDING = 'finding'
 """Key in a status. The value is the id of the finding in the message of the status, or 'none'. The
@@ -95,7 +96,9 @@ VALUELESS = re.compile(r':=(?=\W|$)(?!\{)')
 
 
 def node_text(found: Finding) -> str:
-    """Return the text of a finding, with ROS parameters in place of command line options.
+    """Return the text of a finding, with ROS parameters in place of the options in `PARAMETERS`.
+
+    Other command line options stay.
 
     Options that `PARAMETERS` does not contain are kept.
 

@@ -57,8 +57,8 @@ from .node_settings import EstimatorSettings, home_of
 from .shell import LATCHED, Worker
 
 FIT_SHARE = 0.05
-"""Largest share of one CPU core that may be used for fits. The share determines the pause after a
-fit, which lasts at most `LONGEST_WAIT_S`."""
+"""Share of one CPU core that the fits of one IMU use at most, unless a fit is slow
+(`LONGEST_WAIT_S`) or requested by the service. The share determines the pause after a fit."""
 
 LONGEST_WAIT_S = 20.0
 """Longest pause in s after a fit. After a slow fit, this pause is kept, although fits then use more
@@ -74,11 +74,11 @@ ALONE_S = 5.0
 class ImuEstimate(NodePart):
     """Fits the Allan sums of one IMU when they have grown enough, and publishes the noise model.
 
-    If more than `REPLACED_SHARE` of the samples are removed from the Allan sums, the model is
-    invalidated: a noise model without axes is published, the statuses show a warning instead of the
-    coefficients, and the sums are fitted again. ``listeners`` are called with every published noise
-    model, and again with the present bias at rest when new sums arrive. ``worker`` runs the fits,
-    and ``label`` is the label of the IMU. Raises AllanError if the file in the parameter
+    If more than `REPLACED_SHARE` of the samples are removed from the Allan sums, an existing model
+    is invalidated: a noise model without axes is published, the statuses show a warning instead of
+    the coefficients, and the sums are fitted again. ``listeners`` are called with every published
+    noise model, and again with the present bias at rest when new sums arrive. ``worker`` runs the
+    fits, and ``label`` is the label of the IMU. Raises AllanError if the file in the parameter
     ``estimator.sensor`` or ``estimator.baseline`` cannot be read.
     """
 
@@ -116,7 +116,10 @@ class ImuEstimate(NodePart):
         node.create_service(Trigger, f'{home}fit', self._on_fit)
 
     def process(self, snapshot: Snapshot) -> None:
-        """Process a new snapshot; start a fit if the sums have grown enough or were replaced."""
+        """Process a new snapshot; start a fit if the sums have grown enough or were replaced.
+
+        While a fit runs, and in the pause after it, no fit is started.
+        """
         self._snapshot = snapshot
         former_faults, self._faults = self._faults, snapshot.faults
         lost_share = replaced_share(self._fitted, snapshot.sums)
@@ -135,7 +138,8 @@ class ImuEstimate(NodePart):
     def tick(self, now: float) -> None:
         """Publish the results of a finished fit, or report the error with which it failed.
 
-        If the sums have been replaced while they were fitted, start a new fit instead.
+        If the sums have been replaced while they were fitted, start a new fit instead, if there are
+        sums.
         """
         if self._fitting is None or not self._fitting.done():
             return
@@ -179,7 +183,10 @@ class ImuEstimate(NodePart):
         return statuses
 
     def _comparisons(self, margin: float) -> tuple[Check, ...]:
-        """Return checks against datasheet and baseline, cached for the latest fit and margin."""
+        """Return checks against datasheet and baseline; they are cached until results change.
+
+        They are also computed again for another margin.
+        """
         results = self._results
         if results is None:
             return ()
@@ -319,7 +326,7 @@ class ImuEstimate(NodePart):
 
 
 class SumsInput(NodePart):
-    """Subscribes to the Allan sums of an accumulator, and passes each snapshot to ``listener``."""
+    """Subscribes to the Allan sums of an accumulator; passes readable snapshots to ``listener``."""
 
     def __init__(self, node: AllanNode, listener: Callable[[Snapshot], None]) -> None:
         self._node, self._listener = node, listener

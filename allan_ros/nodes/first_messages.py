@@ -21,11 +21,11 @@ than the assumed rate, so the covariances of the first messages are usually too 
 class FirstMessages:
     """Measures the sample rate and the mean angular rate of an IMU from some of its messages.
 
-    ``rate_hz`` is the largest sample rate in Hz, according to the stamps, in any period of at least
-    `RATE_S`; before the end of the first period, it is `FIRST_RATE_HZ`. ``bias`` is gyro axis ->
-    mean of all processed angular rates in rad/s with its standard error, updated at the start of
-    each period. While the IMU is at rest, the mean is the bias. If the IMU turns, a covariance that
-    covers the mean is too large.
+    ``rate_hz`` is the largest sample rate in Hz, according to the stamps, in the measured periods
+    of at least `RATE_S`; before the end of the first period, it is `FIRST_RATE_HZ`. ``bias`` is
+    gyro axis -> mean of all processed angular rates in rad/s with its standard error, updated at
+    the start of each period. While the IMU is at rest, the mean is the bias. If the IMU turns, a
+    covariance that covers the mean is too large.
     """
 
     def __init__(self) -> None:

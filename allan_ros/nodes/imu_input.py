@@ -57,13 +57,15 @@ QUEUE_DEPTH = 5000
 most this number of messages, which is 0.25 s of messages at 20 kHz, or about 2.5 MB."""
 
 FETCH_S, FETCH_SHARE = 0.1, 0.25
-"""Longest time in s between two fetches, and largest share of the queue that may fill meanwhile."""
+"""Longest time in s between two fetches, and largest share of the queue that fills meanwhile if the
+rate of the messages stays the same."""
 
 BUFFER_BYTES, MESSAGE_BYTES = 2**26, 120
 """Largest total size in bytes of the fetched messages that are not decoded yet, and number of bytes
 that Python adds to each payload. The total size suffices for 7 s of messages at 20 kHz, or 12 min
 at 200 Hz. If the node decodes nothing for a longer time, further messages stay in the queue.
-Messages that do not fit into the queue are lost and counted."""
+Messages that do not fit into the queue are lost; they are counted if the middleware reports them or
+numbers the messages."""
 
 NAMELESS = '_NODE_NAME_UNKNOWN_'
 """Node name that the ROS graph returns for an endpoint of an unknown node."""
@@ -139,8 +141,8 @@ def subscribe_raw(
     ``plain`` is True, or if this version of rclpy cannot fetch messages, the executor calls
     ``callback`` with the bytes of each message instead. ``depth`` is the depth of the queue.
     """
-    # A best-effort subscription connects to every publisher. Reliable publishers still deliver to
-    # it in order.
+    # Unless qos_overrides change it, this best-effort subscription connects to every Imu publisher.
+    # Reliable publishers still deliver to it in order.
     qos = QoSProfile(
         history=HistoryPolicy.KEEP_LAST, depth=depth, reliability=ReliabilityPolicy.BEST_EFFORT
     )
@@ -215,7 +217,7 @@ class ImuInput:
                 self._take_all()
 
     def _fetch(self) -> None:
-        """Fetch messages until the input is closed, often enough for the queue never to be full."""
+        """Fetch messages until the input is closed, so often that the queue rarely becomes full."""
         wait_s = FETCH_S
         while not self._closed.wait(wait_s):
             last_drain_s, last_count = self._drained_s, self.received
@@ -330,7 +332,7 @@ class ImuInput:
     def statistics(self) -> TransportStatistics:
         """Return the numbers of received, lost and malformed messages.
 
-        Messages count as received when `batches` has decoded them.
+        Messages count as received when `batches` has begun to decode them.
         """
         if self._loss is not None:
             with self._loss:
@@ -347,7 +349,7 @@ class ImuInput:
         self._loss = None
 
     def _collect(self, payload: bytes, info: dict[str, Any] | None = None) -> None:
-        """Store one message; if messages are numbered, count the missing messages before it."""
+        """Store one message; count the missing messages before it if numbers show them."""
         buffer = self._buffer
         buffer.payloads.append(payload)
         buffer.size += len(payload) + MESSAGE_BYTES

@@ -36,7 +36,8 @@ CACHED_PAGES = 8
 
 MOST_REQUESTS, REQUEST_S = 16, 10.0
 """Largest number of simultaneous requests, and longest time in s for which a request may wait for
-its client. The server closes the connections of further requests and of slower requests."""
+the next bytes from its client. The server closes the connections of further requests and of slower
+requests."""
 
 STALE_SUMS_S = 60.0
 """Allan sums older than this time in s are shown as out of date. By default, nodes publish them
@@ -70,8 +71,9 @@ class _Server(ThreadingHTTPServer):
 class LivePage:
     """Subscribes to the Allan sums of all accumulators, and serves reports of them over HTTP.
 
-    A report is rendered when a browser requests it. ``port`` is the TCP port; 0 selects a free one.
-    Raises AllanError if the port cannot be used, for example because it is in use.
+    A report is rendered when a browser requests it, unless it is still cached. ``port`` is the TCP
+    port; 0 selects a free one. Raises AllanError if the port cannot be used, for example because it
+    is in use.
     """
 
     def __init__(self, node: Node, port: int) -> None:

@@ -71,7 +71,7 @@ class Snapshot:
 
     @property
     def sums(self) -> tuple[AllanSums, ...]:
-        """A tuple with one `AllanSums` of all axes, or one per sensor if rates or topics differ.
+        """A tuple with one `AllanSums` of all axes, or several, as if rates or topics differ.
 
         The tuple is empty before the first static data.
         """

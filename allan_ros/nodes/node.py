@@ -227,9 +227,9 @@ class NodePart:
 class AllanNode(Node):
     """A node that consists of parts, such as the inputs of several IMUs.
 
-    An unexpected exception in one part is logged once with its traceback and reported as ERROR on
-    `/diagnostics`; the node and its other parts continue. ``options`` are passed to
-    `rclpy.node.Node`.
+    An unexpected exception in one part is logged with its traceback, once for each type and place,
+    and reported as ERROR on `/diagnostics`; the node and its other parts continue. ``options`` are
+    passed to `rclpy.node.Node`.
     """
 
     def __init__(self, name: str, **options: Any) -> None:

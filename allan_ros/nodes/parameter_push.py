@@ -12,7 +12,7 @@ Conditions
 - The value is a noise density, and the state estimator estimates the bias. Or the value is a gain
   (`GAINS`), the gain in the node is too small for the errors in motion, and these errors were
   measured in drives of this robot.
-- The input has no fault.
+- No axis of the input has a fault.
 - The 95 % interval of the value is narrow (`SETTLED_RATIO`).
 - The value and the found value differ by at most the factor ``push.max_factor``. The found value is
   the value that the parameter had before this node set it.
@@ -20,11 +20,12 @@ Conditions
 
 Restoring
 ---------
-The found values are set again when the noise model is invalidated, the input has a fault,
-``push.enabled`` becomes false, this node ends, or this node starts after it was killed.
+The found values are set again when the noise model is invalidated, an axis of the input has a
+fault, ``push.enabled`` becomes false, this node ends, or this node starts after it was killed.
 
-The present value of a parameter is read before each change. A parameter that an operator or another
-node has changed is not changed any more. A value that the node refuses is not sent again.
+The present value of a parameter is read before each change, if the other node answers. A parameter
+that an operator or another node has changed after this node set it is not changed any more while
+this node runs. A value of the noise model that the node refuses is not sent again.
 """
 
 from __future__ import annotations
@@ -196,7 +197,7 @@ class ParameterPush(NodePart):
         return [status]
 
     def close(self) -> None:
-        """Restore the found values, because no program would restore them after this node ends.
+        """Restore the found values, because no program would restore them until the next start.
 
         If the other node does not answer, the found values are sent although the present values
         could not be read. Values that do not arrive are restored at the next start of this node.

@@ -24,8 +24,8 @@ but not set."""
 
 RAISE_RATIO = 2.0
 """The gain in a node is raised if the gain that covers the errors of the gyro in motion is more
-than `RAISE_RATIO` times as large. A gain is never lowered: a large gain may be needed for other
-reasons, such as fast convergence, and a lower gain makes the tilt worse at rest."""
+than `RAISE_RATIO` times as large. It is never set below the found gain: a large gain may be needed
+for other reasons, such as fast convergence, and a lower gain makes the tilt worse at rest."""
 
 PUSHED_TARGETS = (*GAINS, 'kalibr', 'fast_lio')
 """Export targets that ``push.filter`` may name: gains, densities N and K (kalibr), and N^2 f and

@@ -3,7 +3,7 @@
 """Republishes the messages of an Imu topic, as raw bytes, with covariances filled in.
 
 A separate thread waits for messages and republishes each message at once. The thread needs half the
-CPU time of a callback, and other tasks of the node do not delay it. If this version of rclpy has no
+CPU time of a callback, and other tasks of the node hardly delay it. If this version of rclpy has no
 wait set, a callback republishes the messages.
 """
 
@@ -60,8 +60,9 @@ POLL_S = 0.005
 """Period in s at which messages are fetched if waiting for them fails."""
 
 SWITCH_INTERVAL_S = 0.0005
-"""Longest time in s for which other Python threads, such as a fit, delay the relay (Python's
-default is 5 ms)."""
+"""Time in s after which another Python thread, such as a fit, has to let the relay run (Python's
+default is 5 ms). A library function that does not let other threads run may delay the relay
+longer."""
 
 MODEL_GRACE_S = 120.0
 """Time in s after the start from which a missing noise model is always a warning. Before this time,
@@ -182,8 +183,9 @@ class ImuRelay(NodePart):
 
     The covariances are computed from the noise model that `offer` receives. If the model does not
     contain a sensor, the covariance of this sensor is computed from the datasheet
-    ``estimator.sensor``. With a datasheet, the mean angular rate is regarded as the bias of the
-    gyro until the bias is known.
+    ``estimator.sensor``, if this parameter is set. The covariance of a sensor with a fault is not
+    filled in. With a datasheet, the mean angular rate is regarded as the bias of the gyro until the
+    bias is known.
 
     ``model_topic`` is the topic of the noise model, and ``input_findings`` returns the findings
     about the messages on this topic. Raises AllanError if the input topic and the output topic have
@@ -263,7 +265,10 @@ class ImuRelay(NodePart):
         self.tick(time.monotonic())
 
     def tick(self, now: float) -> None:
-        """Make a new patch if noise model, bias, parameters or sample rate have changed."""
+        """Make a new patch if noise model, bias or parameters have changed.
+
+        With a datasheet, a patch is also made if the measured rate or mean has changed.
+        """
         if self._datasheet is not None:
             self._first.update(self._counts[RECEIVED], self._latest)
         first_values = self._first.rate_hz, self._first.bias
@@ -299,7 +304,7 @@ class ImuRelay(NodePart):
     def _measured_variances(
         self, results: Results, settings: RelaySettings
     ) -> dict[str, Variances]:
-        """Return the variances from a noise model, computed once for each model and settings."""
+        """Return the variances from a noise model, cached for the latest model and settings."""
         inputs = results.axes, settings
         if not all(map(operator.is_, inputs, self._measured_of)):
             self._measured_of, self._ratio = inputs, 1.0
@@ -425,7 +430,10 @@ class ImuRelay(NodePart):
             return []
 
     def _findings(self, now: float) -> list[Finding]:
-        """Return findings about present problems; each cause precedes its effects."""
+        """Return findings about present problems and about messages counted since the start.
+
+        Each cause precedes its effects.
+        """
         counts, results, found = self._counts, self._results, self._input_findings(now)
 
         def add(id: str, count: int, **values: Any) -> None:

@@ -169,7 +169,8 @@ def document(rows: Sequence[StatusRow]) -> str:
 class Watch(Node):
     """Node that displays the latest status of each name on `/diagnostics`.
 
-    Only statuses of allan_ros nodes are displayed.
+    Only statuses with 'allan' in their name, or with keys of an allan_ros node, are displayed, and
+    with ``--node`` only statuses of this node.
     """
 
     def __init__(self, options: argparse.Namespace, stop: threading.Event) -> None:
@@ -200,8 +201,8 @@ class Watch(Node):
     def exit_code(self) -> int:
         """Return the exit code, which is known after `close`.
 
-        The code is `EXIT_NO_STATUS` if no status was received. Otherwise, it is 0 or, with
-        ``--check``, the code of the most severe level (`EXIT_LEVEL`).
+        The code is `EXIT_NO_STATUS` if no status to display was received. Otherwise, it is 0 or,
+        with ``--check``, the code of the most severe level (`EXIT_LEVEL`).
         """
         rows = self._final
         if not rows:

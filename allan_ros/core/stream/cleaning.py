@@ -2,8 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Prepares the samples of a stream: chooses stamps, sorts samples, and excludes unusable samples.
 
-Duplicates, samples that are not finite, samples with backward stamps, and samples of a time that
-earlier samples cover are excluded. Samples that a driver repeats at random are interpolated.
+Duplicates, samples that are not finite, samples with backward stamps (until the clock is known to
+have been set back), and samples of a time that earlier samples cover are excluded. Short sequences
+of samples that a driver repeats at random are interpolated.
 """
 
 from __future__ import annotations
@@ -31,8 +32,9 @@ from .sensors import SensorPlan
 from .timing import has_time
 
 BACKWARD_RUN = 16
-"""If this many consecutive samples have stamps earlier than the latest stamp, the clock was
-set back. Fewer such samples are excluded."""
+"""If this many consecutive samples have stamps earlier than the latest stamp, the clock was set
+back; soon after another such jump, more samples are required (`JUMP_DISTANCE`). The samples before
+the last of these samples are excluded."""
 
 JUMP_DISTANCE = 4096
 """If the clock is set back within this number of samples after the start or after the last time,
@@ -41,7 +43,7 @@ number is `BACKWARD_RUN`. Without the doubling, stamps in random order would spl
 often."""
 
 REORDER = 32
-"""Largest number of places by which sorting moves a sample that arrived out of order."""
+"""Longest delay, in sample periods, of a sample that is sorted because it arrived out of order."""
 
 DISORDERED_SHARE = 0.25
 """If more than this share of the stamps are earlier than the previous stamp after sorting over
@@ -62,7 +64,7 @@ MOST_COVERED = 256
 
 
 def unit_of_stamps(stamps: Stamps) -> str:
-    """Return the unit of integer stamps, (n,): 'us', 'ms' or 'ns'.
+    """Return the unit of one or more integer stamps, (n,): 'us', 'ms' or 'ns'.
 
     The unit is 'us' or 'ms' if the stamps in this unit are times since 1970 (`EPOCH_S`), and their
     median step is above 0 and at most `SLOWEST_S`. Otherwise, the unit is 'ns'.
@@ -167,12 +169,12 @@ class StampSorter:
         return [self._take(number)]
 
     def flush(self) -> ImuBatch:
-        """Return the buffered samples, sorted, at the end of the input."""
+        """Return the buffered samples at the end of the input, sorted as far as possible."""
         return self._take(len(self._pending))
 
     @classmethod
     def all_sorted(cls, samples: ImuBatch) -> ImuBatch:
-        """Return the sorted samples of a complete input."""
+        """Return the samples of a complete input, sorted as far as possible (see the class)."""
         sorter = cls(samples.stamps_ns)
         return joined([*sorter.feed(samples), sorter.flush()])
 
@@ -182,7 +184,7 @@ class StampSorter:
         return is_after_latest and bool((stamps[1:] >= stamps[:-1]).all())
 
     def _take(self, number: int) -> ImuBatch:
-        """Remove the first ``number`` samples from the buffer, and return them sorted."""
+        """Remove the first ``number`` samples, and return them, sorted as far as possible."""
         stamps, rows = self._pending.stamps_ns, self._pending.rows
         if number < 1:
             return self._pending.part(slice(0))
@@ -207,7 +209,7 @@ def are_ordered(samples: ImuBatch) -> bool:
     """Return whether the stamps of samples advance and are in order after sorting.
 
     `StampSorter` sorts the samples. Then at most `DISORDERED_SHARE` of the stamps may be earlier
-    than the previous stamp.
+    than the previous stamp. The result is True for a single sample.
 
     >>> import numpy as np
     >>> stamps = np.arange(100) * 10**7
@@ -275,9 +277,9 @@ class SampleFilter:
     """Selects the axes of a sensor stream, and excludes samples that cannot be used.
 
     Samples of the kind ``plan.drop`` ('repeated' or 'zero'), samples that are not finite,
-    duplicates, and samples with backward stamps are excluded. A duplicate has the stamp and the
-    values of the previous sample. The stamps of the remaining samples decrease only where the clock
-    was set back. ``counts`` is updated in place.
+    duplicates, and samples with backward stamps (`BACKWARD_RUN`) are excluded. A duplicate has the
+    stamp and the values of the previous sample. The stamps of the remaining samples decrease only
+    where the clock was set back. ``counts`` is updated in place.
     """
 
     def __init__(self, plan: SensorPlan, counts: Counts) -> None:

@@ -32,13 +32,15 @@ longer small, and a state estimator also uses other sensors."""
 
 LONGEST_AHEAD_S = 60.0
 """Longest time in s until motion detection confirms that samples are at rest. A drive is too long
-if the time since the last sample at rest exceeds `LONGEST_DRIVE_S` plus this time."""
+if the time since the last sample at rest exceeds `LONGEST_DRIVE_S` plus this time, or if more than
+`MOST_KEPT` samples are buffered."""
 
 MOST_RATE = 200.0
 """Samples are averaged down to at most this rate in Hz before the integration."""
 
 MOST_KEPT = 1 << 20
-"""Largest number of buffered samples of a drive, and of a rest: 48 MiB each."""
+"""Largest number of samples that are kept of a drive, and of the beginning and of the end of a
+rest: 48 MiB each. Only complete blocks are removed, so up to one block more is kept."""
 
 MOST_DRIVES = 60
 """Largest number of drives whose errors are stored, about 60 kB each; the oldest are removed."""
@@ -79,8 +81,8 @@ class _Pending(NamedTuple):
 class DriveRecorder:
     """Collects the drives between rests from evenly spaced samples of six axes.
 
-    The result does not depend on how the samples are divided into blocks, if the sample rate is
-    below 4 kHz. At higher rates, long drives may exceed the largest number of buffered samples.
+    The result does not depend on how the samples are divided into blocks, unless more samples are
+    buffered than the limits permit (`LONGEST_AHEAD_S`, `MOST_KEPT`).
     """
 
     def __init__(self, tau0: float) -> None:
@@ -89,7 +91,8 @@ class DriveRecorder:
         self._tau0 = tau0
         self._most = min(round((LONGEST_DRIVE_S + LONGEST_AHEAD_S) / tau0), MOST_KEPT)
         self._rest_samples = max(min(round(REST_S / tau0), MOST_KEPT), 1)
-        self._raw: deque[ImuBatch] = deque()  # all samples after the last sample at rest
+        # samples after the last sample at rest, about `_most` at most
+        self._raw: deque[ImuBatch] = deque()
 
         # whether the drive is too long, so that its first samples are removed
         self._is_long = False

@@ -20,10 +20,11 @@ from ..imu import AXES, SAMPLE_UNITS, SENSORS, STANDARD_GRAVITY, UNITS, Floats, 
 from ..settings import SegmenterSettings
 
 State = Literal['waiting', 'learning', 'at_rest', 'moving', 'noise_increased', 'noise_decreased']
-"""'waiting': no sample yet. 'learning': sample rate and noise floor are not known yet. 'at_rest':
-the IMU is at rest, and its data are used. 'moving': the IMU moves. 'noise_increased': the IMU is at
-rest, but its noise is larger than the noise floor. 'noise_decreased': the noise of an axis is much
-smaller than the noise floor, or the axis is clipped and was not before."""
+"""'waiting': no usable sample yet. 'learning': sample rate or noise floor are not known yet.
+'at_rest': the IMU is at rest, or motion detection is switched off, and its data are used. 'moving':
+the IMU moves, an axis is stuck, or the samples are not plausible measurements. 'noise_increased':
+the IMU is at rest, but its noise is larger than the noise floor. 'noise_decreased': the noise of an
+axis is much smaller than the noise floor, or the axis is clipped and was not before."""
 
 PLAUSIBLE_RATE_HZ = 0.1, 1e5
 """Smallest and largest plausible sample rate in Hz. At another rate, the unit of the stamps is
@@ -33,11 +34,12 @@ RATE_CHANGE = 0.02
 """Smallest relative difference between two sample periods that counts as a change of the rate."""
 
 REPORTED_DROPPED_SHARE = 0.02
-"""Smallest share of samples with backward stamps that is reported. If stamps are bursty, the gaps
-that the excluded samples leave cannot be found, and at this share N becomes 1 % too large."""
+"""Share of samples with backward stamps above which 'stamps_mixed' is reported for bursty stamps.
+The gaps that the excluded samples leave cannot be found then, and at this share N becomes 1 % too
+large."""
 
 REPORTED_INTERPOLATED_SHARE = 1e-3
-"""Smallest share of interpolated samples that is reported."""
+"""Share of interpolated samples above which they are reported."""
 
 INCREASE_SHARE = 0.5
 """A finding about increased noise names the axes whose ratio of noise to noise floor exceeds this
@@ -49,11 +51,11 @@ percent."""
 
 LEAST_SPIKES, LEAST_SPIKE_SHARE = 3, 1e-6
 """Smallest number of isolated spikes, and smallest share of spikes among the samples, that are
-reported. In white noise, the share of spikes is below 1e-7."""
+reported about a complete stream. In white noise, the share of spikes is below 1e-7."""
 
 LARGEST_N, LARGEST_REST_RATE = 3e-3, 0.2
 """Angle random walk in rad/s/sqrt(Hz) (10 deg/sqrt(h)) and mean rate at rest in rad/s (11 deg/s)
-above which the declared unit of a gyro is wrong."""
+above which the declared unit of a gyro is regarded as wrong."""
 
 USUAL_N = 3e-4
 """Angle random walk in rad/s/sqrt(Hz) (1 deg/sqrt(h)) of a typical gyro. The unit in which N is
@@ -74,17 +76,18 @@ SAME_SUMS = 1e-6
 """Largest relative difference, due to rounding, between the Allan sums of two equal axes."""
 
 WEIGHTLESS = 0.05
-"""Gravity was removed from the data if a mean acceleration at rest is below this fraction of
-gravity, whatever the unit of the data is."""
+"""Gravity was removed from the data if the magnitude of the mean acceleration at rest is below this
+value in m/s^2, whether the samples are in m/s^2 or in g. If samples in m/s^2 showed gravity before,
+the limit is this fraction of gravity."""
 
 
 @dataclass
 class Counts:
     """Numbers of used, excluded, lost and interpolated samples since the start of a stream.
 
-    If the sensors have different rates, the counts of both sensor streams are added, except for
+    If the sensors are in two streams, the counts of both sensor streams are added, except for
     ``received``, ``skipped``, ``other_frame`` and ``reordered``. For one sensor stream without
-    repeated samples, received + interpolated = used + skipped + other_frame + not_finite +
+    repeated or zero samples, received + interpolated = used + skipped + other_frame + not_finite +
     duplicate + backward + untimed + moving + stuck + noise_increased + noise_decreased + the
     samples that are still buffered.
     """
@@ -138,8 +141,8 @@ class Event(NamedTuple):
 class Segment(NamedTuple):
     """Used samples without a gap between them, the first of which has the stamp ``start_ns``.
 
-    ``cut`` is the reason for the split before the segment, such as 'gap' or 'motion'; '' for the
-    first segment.
+    ``cut`` is the reason for the split before the segment, such as 'gap' or 'motion'; '' if there
+    was no such reason, as before the first segment of an IMU that is at rest from the start.
     """
 
     start_ns: SignedInt
@@ -179,7 +182,7 @@ class StreamHealth:
 
     counts: Counts  # a copy that later samples do not change
     state: State = 'waiting'
-    rate_hz: float | None = None  # sample rate; None before it is learned
+    rate_hz: float | None = None  # sample rate; None while it is not known
     bursty: bool = False  # whether stamps come in bursts
 
     # sample rate without missing samples, if samples are missing regularly; else None
@@ -191,7 +194,8 @@ class StreamHealth:
     frame_changes: int = 0
     discarded: int = 0  # how often sums were discarded, because another noise floor was learned
 
-    # axis -> largest ratio of its noise at rest to the noise floor; empty if no noise increased
+    # axis -> largest ratio of its noise at rest to the noise floor; empty if no noise increased, or
+    # if the increased noise now counts as normal
     largest_increase: Mapping[str, float] = field(default_factory=dict)
     discarded_s: float = 0.0  # time in s from the first discarded sample to the first kept sample
 
@@ -200,7 +204,8 @@ class StreamHealth:
     events: tuple[Event, ...] = ()  # shocks, motions and changes of the noise
     dropped_frames: int = 0  # number of frame_ids whose Allan sums were discarded
 
-    # axis -> smallest ratio of its noise to the noise floor; empty if no noise decreased
+    # axis -> smallest ratio of its noise to the noise floor; empty if no noise decreased, or if the
+    # decreased noise now counts as normal
     largest_decrease: Mapping[str, float] = field(default_factory=dict)
     stuck_axes: tuple[str, ...] = ()  # axes that were stuck at one value
 
@@ -442,7 +447,7 @@ def unit_findings(sums: AllanSums) -> list[Finding]:
 
 
 def _norm_at_rest(sums: AllanSums, axes: list[int]) -> float:
-    """Return the magnitude of the mean vector of some axes, averaged over all rests.
+    """Return the magnitude of the mean vector of some axes, averaged over rests with stored means.
 
     Each rest has a mean vector, because the direction of gravity may differ between two rests.
     """

@@ -4,12 +4,13 @@
 
 Method
 ------
-The stream is classified in windows of about half a second. A window is moving if its variance, its
-largest deviation, the step of its mean or its mean angular rate exceeds a limit. The limits are
-derived from the noise floor, which is the noise of the sensor at rest. A window of white noise is
-classified as moving with a probability below 1e-12, so N has no bias. The limits at which a motion
-begins are higher than the limits at which it ends (hysteresis). Some windows before and after a
-motion are also excluded.
+The stream is classified in windows of about half a second, or of 16 samples if these last longer. A
+window is moving if its variance, its largest deviation, the step of its mean or its mean angular
+rate exceeds a limit, if its noise is much smaller, or if its samples are not plausible. The limits
+are derived from the noise floor, which is the noise of the sensor at rest. A window of white noise
+is classified as moving with a probability below 1e-8 (at 50 Hz and above, 1e-11), so N has no bias.
+The limits at which a motion begins are higher than the limits at which it ends (hysteresis). Some
+windows before and after a motion are also excluded.
 
 First, isolated spikes are replaced. On an axis whose noise has heavy tails, isolated large values
 are noise: they stay in the data and are not regarded as motion. The samples of a shock are also
@@ -47,7 +48,8 @@ from .sensors import clipped_shares
 from .windows import RecentWindows, WindowPart, Windows, is_stuck
 
 WINDOW_S = 0.5
-"""Length of a window in s: long enough for a variance, short compared with a motion."""
+"""Length of a window in s: long enough for a variance, short compared with a motion. At low rates,
+windows are longer (`LEAST_WINDOW`), and at very high rates shorter (`MOST_WINDOW`)."""
 
 BLOCK_WINDOWS = 32
 """Number of windows in a block. The noise floor is learned from a block, and updated after each
@@ -167,13 +169,17 @@ class MotionGate:
     def increases(self) -> dict[str, float]:
         """Axis -> largest ratio of the increased noise at rest to the noise floor.
 
-        Only ratios above 1 are included. The result is empty if the noise of no axis increased.
+        Only ratios above 1 are included. The result is empty if the noise of no axis increased, or
+        if the increased noise now counts as normal.
         """
         return self._named(self._levels.largest_ratio)
 
     @property
     def decreases(self) -> dict[str, float]:
-        """Axis with decreased noise -> smallest ratio of its noise to the noise floor."""
+        """Axis with decreased noise -> smallest ratio of its noise to the noise floor.
+
+        Decreased noise that now counts as normal is not included.
+        """
         return self._named(self._levels.smallest_ratio)
 
     def _named(self, ratios: Floats) -> dict[str, float]:

@@ -44,7 +44,8 @@ SHAKEN_RATIO = 30.0
 sensor was shaken. Fans, motors and settings of the sensor change the noise less."""
 
 MOVING_AXES = 2
-"""A motion increases the noise of at least this number of axes, but a fault may affect only one."""
+"""Smallest number of axes whose noise a motion is assumed to increase; a fault may affect only
+one."""
 
 SAME_GRAVITY = 0.15
 """Largest relative change of the magnitude of the mean specific force that a motion causes. A fault
@@ -88,7 +89,8 @@ INCREASE_RATIO = 1.5
 increased."""
 
 INCREASE_SPREAD = 4.0
-"""The variances of the windows of stationary noise lie within this factor of their median."""
+"""At least 90 % of the variances of windows of stationary noise lie within this factor of their
+median."""
 
 INCREASE_SPECTRUM = 0.5
 """The von Neumann ratio of increased noise is at least this fraction of the ratio of the noise
@@ -383,9 +385,10 @@ class NoiseFloor:
         return float(np.abs(log_ratio).mean()) if len(log_ratio) else 0.0
 
     def revived(self, rows: Floats) -> Flags:
-        """Return which axes, (axes,), were constant when the floor was learned, but have noise now.
+        """Return which axes, (axes,), had no noise when the floor was learned, but have noise now.
 
-        ``rows``, (axes, n), are the samples now.
+        Such an axis may have changed in less than a quarter of the windows. ``rows``, (axes, n),
+        are the samples now.
         """
         is_revived = self.variance == 0.0
         if is_revived.any():
@@ -442,6 +445,8 @@ class NoiseFloor:
 
     def increase(self, rows: Floats, block: Windows) -> Floats | None:
         """Return the ratio of the noise of a block at rest to the noise floor, (axes,).
+
+        The ratio of an axis whose noise floor is 0 is 1.
 
         ``rows``, (axes, n), are the samples of the block, and ``block`` are the statistics of its
         windows. Returns None if no noise has increased, if the sensor moves, or if a ratio is not

@@ -62,9 +62,10 @@ class Present(NamedTuple):
 class Accumulation:
     """Results of a stream: Allan sums, health, findings and segments.
 
-    ``sums`` has one entry for all axes, or one per sensor if their rates differ. A sensor without
-    data has no entry. If the sample rate or the frame_id changed, only the sums with the longest
-    elapsed time are included. ``segments`` are the segments of the first entry of ``sums``.
+    ``sums`` has one entry for all axes, or several entries, for example one per sensor if their
+    rates differ. An axis without data is in no entry. If the sample rate or the frame_id changed,
+    or a fault ended, each axis has the sums with the longest elapsed time. ``segments`` are the
+    longest segments of the first entry of ``sums``.
     """
 
     sums: tuple[AllanSums, ...]
@@ -82,9 +83,9 @@ class ImuStream:
     'accel' if the other sensor is in another stream; this stream then ignores the values of the
     other sensor. ``with_samples`` also keeps all samples at rest in memory, ``with_drives`` keeps
     the errors of the latest drives between two rests, and ``with_means`` keeps the latest means
-    over one second. With ``covered``, each time is counted once: samples are excluded if earlier
-    samples cover their time, or if their time is in one of the stretches ``covered``, (first, last)
-    stamp in ns.
+    over one second. With ``covered``, each time is counted once for each frame_id, as far as
+    `CoveredTime` stores the earlier times: samples are excluded if earlier samples cover their
+    time, or if their time is in one of the stretches ``covered``, (first, last) stamp in ns.
     """
 
     def __init__(
@@ -136,9 +137,9 @@ class ImuStream:
     def samples(self) -> dict[str, tuple[Stamps, Floats]]:
         """Return axis -> stamps in ns and values of all samples at rest, (n,) each, after `end`.
 
-        The samples have the frame_id with the most data, come after the last change of the rate,
-        and belong to the noise level that is the result. The result is empty unless
-        ``with_samples`` was set.
+        The samples have the frame_id with the most data, come after the last change of the rate and
+        the end of a fault of the first samples, and belong to the noise level that is the result.
+        The result is empty unless ``with_samples`` was set.
         """
         most_used = max(
             self._frames.values(), key=lambda each: each.counts.used, default=self._present
@@ -153,10 +154,10 @@ class ImuStream:
     def drives(self) -> Drives:
         """Return the latest drives between two rests; empty unless ``with_drives`` was set.
 
-        The drives are those with the frame_id that has the most data. There are no drives if an
-        axis is absent, if gyro and accelerometer have different rates or are in different streams,
-        or if motion detection is switched off. Before `end`, a drive is included when its second
-        rest is over or long enough.
+        The drives have the frame_id with the most data and the latest sample rate. There are none
+        if an axis is absent, if gyro and accelerometer have different rates or are in different
+        streams, or if motion detection is switched off. Before `end`, a drive is included when its
+        second rest is over or long enough.
         """
         most_used = max(
             self._frames.values(), key=lambda each: each.counts.used, default=self._present
@@ -177,15 +178,16 @@ class ImuStream:
     def present_health(
         self, sums: tuple[AllanSums, ...]
     ) -> tuple[StreamHealth, tuple[Finding, ...]]:
-        """Return state and findings without computing new sums, which is faster than `result`.
+        """Return state and findings; new sums are computed only while the noise floor is learned.
 
-        ``sums`` are the sums of an earlier `result`. Except for ``received``, the counts do not
-        include samples that are not classified yet, unless the noise floor is still being learned.
+        Otherwise, this is faster than `result`. ``sums`` are the sums of an earlier `result`.
+        Except for ``received``, the counts do not include samples that are not classified yet,
+        unless the state is 'waiting' or 'learning'.
         """
         present = self._present.present
         if present.state not in ('waiting', 'learning'):
             return self._health(present, sums)
-        # before the noise floor is learned, all samples are buffered, and there are few of them
+        # while the noise floor is learned, the latest samples are buffered, and not classified yet
         ended = self if self._ended else self._at_end()
         return ended._health(self._state_with(ended), sums)
 
@@ -216,7 +218,7 @@ class ImuStream:
         return frame
 
     def _longest(self) -> tuple[StreamSums, ...]:
-        """Return the sums with the longest elapsed time for each sensor with data."""
+        """Return the sums with the longest elapsed time for each axis with data."""
         frames = self._frames.values()
         sensors = [sensor for frame in frames for sensor in (*frame.earlier, *frame.sensors)]
         results = [stream_sums for sensor in sensors for stream_sums in sensor.by_rate()]
@@ -284,11 +286,12 @@ def _united(parts: Iterable[Mapping[str, float]]) -> dict[str, float]:
 class FrameStream:
     """Chooses the stamps of the samples with one frame_id, and divides them into sensor streams.
 
-    ``sensors`` contains one stream for all axes, or one stream per sensor if the rates differ. It
-    is empty until the first samples are evaluated. ``notes`` are the findings about these samples.
-    If the first samples have a fault, the next samples are examined, `CHECKED` at a time, before
-    they are processed. When the fault has ended, new sensor streams begin, and the former streams
-    become ``earlier``.
+    ``sensors`` contains one stream for all usable axes, or one stream per sensor, for example if
+    the rates differ. It is empty until the first samples are evaluated, and if no axis is usable.
+    ``notes`` are the findings about these samples. If the first samples have a fault that may end
+    (`IDLE`, `ABSENT`, `UNTIMED`), the next samples are examined, `CHECKED` at a time, before they
+    are processed. When the fault has ended, new sensor streams begin, and the former streams become
+    ``earlier``.
     """
 
     def __init__(
@@ -321,7 +324,10 @@ class FrameStream:
 
     @property
     def state(self) -> State:
-        """State of the first sensor stream, or 'noise_increased' if any stream is in this state."""
+        """State of the first sensor stream, or 'noise_increased' if any stream is in this state.
+
+        Without a sensor stream, the state is 'learning' if samples are buffered, else 'waiting'.
+        """
         states = [sensor.state for sensor in self.sensors]
         if not states:
             return 'learning' if self._buffered else 'waiting'
@@ -442,7 +448,7 @@ class FrameStream:
         self._faulty, self._buffer = (), [samples]
 
     def _feed(self, *parts: ImuBatch) -> None:
-        """Process consecutive sorted samples."""
+        """Process the next samples, which `StampSorter` has returned, in one or several parts."""
         used_parts: list[ImuBatch] = []
         for samples in parts:
             if self._covered is not None:

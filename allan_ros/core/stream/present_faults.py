@@ -89,7 +89,7 @@ def noise_ratios(findings: Iterable[Finding]) -> dict[str, float]:
 def _gravity(
     accel: tuple[str, ...], floor: NoiseFloor, windows: Windows, variance: Floats
 ) -> list[Finding]:
-    """Return a finding if the specific force at rest is no longer gravity in m/s^2."""
+    """Return a finding if the specific force at rest was gravity in m/s^2, but no longer is."""
     means = windows.mean[~floor.gyro]
     norm, gravity = float(np.linalg.norm(means.mean(axis=1))), floor.gravity
     least_gravity = WEIGHTLESS * STANDARD_GRAVITY

@@ -6,8 +6,9 @@ Method
 ------
 An isolated spike is replaced by the mean of its neighbors, unless the noise of the axis has heavy
 tails. A motion begins with a window above the limits of the noise floor, and ends after some
-windows below lower limits. A shock is a short motion that does not change the mean of any axis. A
-shock is replaced by a line between the means before and after the shock. The segment continues.
+windows below lower limits. A shock is a short motion that changes neither the mean of an axis nor
+the direction of the IMU. Unless too many samples of the segment have been replaced, a shock is
+replaced by a line between the means before and after the shock, and the segment continues.
 The windows of a motion that may be a shock are held until the motion ends. `ImuBatch.filled` marks
 replaced samples.
 """
@@ -51,7 +52,7 @@ changes by more than the first angle, while the gyro measures a rotation by less
 
 REPLACED_SHOCK_SHARE = 0.5
 """Largest number of samples of shocks that are replaced in a segment, as a fraction of its samples
-at rest."""
+at rest up to that time."""
 
 MARGIN_BEFORE, MARGIN_AFTER_S = 1, 2.0
 """Number of windows at rest before a motion, and time in s at rest after a motion, that are
@@ -303,7 +304,7 @@ class RestFilter:
         Returns flags, (k,), that are True for the windows at rest, and the classification of the
         windows. ``block`` contains the samples of the windows, and ``windows`` their statistics.
         With ``only_at_rest``, nothing happens and None is returned if some of the windows are not
-        at rest.
+        at rest, or if a motion has not ended.
         """
         has_previous = np.isfinite(self._last_mean).all() and not block.cut
         floor, previous_mean = self.floor, self._last_mean if has_previous else None

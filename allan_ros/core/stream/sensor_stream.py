@@ -38,7 +38,7 @@ difference may be due to bursts, and is judged when the new period is learned.""
 
 
 KEPT_MEANS = 120
-"""Largest number of one-second means that are kept until they are read; older means are removed."""
+"""Largest number of the latest one-second means that are kept; older means are removed."""
 
 
 class RunningMeans:
@@ -46,7 +46,7 @@ class RunningMeans:
 
     def __init__(self, axes: tuple[str, ...]) -> None:
         self.means = Means(axes, np.empty(0, np.int64), np.empty((0, len(axes))))
-        """The latest `KEPT_MEANS` complete means."""
+        """The latest complete means, at most `KEPT_MEANS`."""
         self.cut()
 
     def cut(self) -> None:
@@ -56,7 +56,7 @@ class RunningMeans:
         self._open: list[Floats] = []  # samples of the incomplete second
 
     def update(self, stamps: Stamps, rows: Floats) -> None:
-        """Add samples without a gap: increasing stamps, (n,), in ns, and values, (axes, n)."""
+        """Add samples without a gap: stamps in order, (n,), in ns, and values, (axes, n)."""
         if self._start_ns is None:
             self._start_ns = int(stamps[0])
         last_second = int(stamps[-1] - self._start_ns) // NANOSECONDS
@@ -85,14 +85,16 @@ class RunningMeans:
 class SensorStream:
     """Computes the Allan sums of axes that are sampled together, from their samples at rest.
 
-    The axes are all axes of the IMU, or the axes of one sensor if the sensors have different rates
-    or only one sensor is used. The stages are: `SampleFilter`, `SampleClock`, `RepeatFilter` (if
-    the driver repeats samples at random), `MotionGate`, and the sums of a `NoiseLevel`.
+    The axes are all usable axes of the IMU, or the axes of one sensor, for example if the sensors
+    have different rates. The stages are: `SampleFilter`, `SampleClock`, `RepeatFilter` (if the
+    driver repeats samples at random), `MotionGate` (unless it is switched off), and the sums of a
+    `NoiseLevel`.
 
-    ``gate`` is None before the sample period is learned, or if motion detection is switched off.
-    ``recorder`` contains the drives between two rests at the present sample rate. It is None if
-    ``with_drives`` is not set, if the stream does not have all six axes, or before ``gate`` is set
-    for the first time.
+    ``gate`` is None before `SampleClock` returns the first samples at the present rate, or if
+    motion detection is switched off. ``recorder`` contains the drives between two rests at the
+    present sample rate, or at the former rate while ``gate`` is None. It is None if ``with_drives``
+    is not set, if the stream does not have all six axes, or before ``gate`` is set for the first
+    time.
     """
 
     def __init__(
@@ -168,12 +170,15 @@ class SensorStream:
 
     @property
     def clipped(self) -> dict[str, float]:
-        """Axis -> share of its samples at rest that are at the end of the measurement range."""
+        """Axis -> share of its samples at rest that are at the end of the measurement range.
+
+        Only shares of at least `MIN_CLIPPED` are included.
+        """
         return self._levels.published.clipped
 
     @property
     def state(self) -> State:
-        """'waiting' or 'learning' until the period is known, then the state of `MotionGate`.
+        """'waiting' or 'learning' until ``gate`` is set, then the state of `MotionGate`.
 
         If motion detection is switched off, the state is 'at_rest' as soon as the period is known.
         """

@@ -6,8 +6,8 @@ Repeated samples
 ----------------
 Drivers that publish a slower accelerometer in every gyro message repeat the last sample of the
 accelerometer (sample-and-hold), or fill in zeros. Both change the noise (N of a 250 Hz
-accelerometer repeated at 400 Hz is 5 % too high). Such a sensor gets a separate stream, which
-contains only the measurements.
+accelerometer repeated at 400 Hz is 5 % too high). The repeats and zeros are excluded, and such a
+sensor gets a separate stream, unless both sensors repeat their samples together.
 Samples that a driver repeats at random, because the sensor had no new data, are interpolated.
 """
 
@@ -22,13 +22,14 @@ from ..findings import Finding, finding
 from ..imu import AXES, LARGEST, SENSORS, Flags, Floats, ImuBatch
 
 REPEATED_SHARE = 0.1
-"""Smallest share of repeated or zero samples that indicates that a driver repeats the samples of a
-slower sensor, or fills in zeros."""
+"""Share of samples above which zeros or repeats that coincide on all axes (`TOGETHER_LOG_RATIO`)
+indicate that a driver fills in zeros, or repeats samples. Fewer repeats, and repeats that do not
+coincide, are compared with chance (`CHANCE_SHARE`)."""
 
 LEAST_REPEATS, CHANCE_SHARE = 5, 0.15
 """A driver repeats samples if the first samples contain at least this number of separate sequences
-of repeats, and if the share of samples that are equal by chance is at most the second fraction of
-the share of repeats."""
+of repeats, and if the repeats of the axes coincide (`TOGETHER_LOG_RATIO`), or the share of samples
+that are equal by chance is at most the second fraction of the share of repeats."""
 
 REGULAR_REPEATS, LARGEST_RANDOM_SHARE = 0.03, 0.6
 """Limits of the share of repeats among all samples. Below the first limit, the repeats are regarded
@@ -65,9 +66,10 @@ MIN_CLIPPED = 0.05
 """Smallest share of samples at the maximum or at the minimum that indicates clipping."""
 
 CLIPPED_RATIO, CLIPPED_VALUES = 3, 8
-"""An axis is clipped if its maximum (or minimum) occurs at least `CLIPPED_RATIO` times as often as
-the next value, and if the axis has at least `CLIPPED_VALUES` different values. At a coarse
-resolution, most samples of an axis that is not clipped have one of two values."""
+"""An axis is clipped if its maximum (or minimum) is not 0, has a share of at least `MIN_CLIPPED`,
+and occurs at least `CLIPPED_RATIO` times as often as the next value, and if the axis has at least
+`CLIPPED_VALUES` different values. At a coarse resolution, most samples of an axis that is not
+clipped have one of two values."""
 
 
 ROUNDING_ERROR = 1e-9
@@ -121,10 +123,11 @@ def extreme_shares(rows: Floats) -> Floats:
 def clipped_shares(rows: Floats) -> Floats:
     """Return the share of the samples of each row, (..., n), that are clipped, (...).
 
-    A row contains samples of one axis. A share below `MIN_CLIPPED` is returned as 0.
+    A row contains samples of one axis. A share below `MIN_CLIPPED` is returned as 0, and also the
+    share of a row in which fewer samples equal the maximum or minimum without a rounding error.
     """
     shares = np.zeros(rows.shape[:-1])
-    # the common case: all rows together have fewer samples at either extreme than one clipped row
+    # the common case: all rows together have too few samples at either extreme for one clipped row
     least = MIN_CLIPPED * rows.shape[-1]
     if all(np.count_nonzero(flags) < least for flags in _are_extreme(rows)):
         return shares
@@ -169,7 +172,7 @@ class Clipping:
 
     @property
     def shares(self) -> Floats:
-        """Share of the samples of each axis that are clipped, (axes,)."""
+        """Share of the examined samples of each axis that are clipped, (axes,)."""
         return np.asarray(self._clipped / max(self.samples, 1))
 
 

@@ -39,8 +39,9 @@ number of samples; sum of squared differences of successive samples, and number 
 class SignalEnvelope:
     """Range, mean and noise of every axis in bins of equal sample count, in constant memory.
 
-    The result does not depend on the size of the batches. NaN is ignored; the range of a bin that
-    contains only NaN is NaN.
+    The last bin may have fewer samples. Except for rounding errors, the result does not depend on
+    the size of the batches. NaN and values above `LARGEST` are ignored; the range of a bin without
+    other values is NaN.
     """
 
     def __init__(self) -> None:
@@ -241,15 +242,16 @@ class SignalSummary:
 
     time_s: Floats  # (bins,) start of each bin in s since the first sample of the first recording
 
-    # (bins, 6) lowest sample in SI; NaN in the first bin of each recording after the first, and for
-    # a sensor without data
+    # (bins, 6) lowest sample in SI; NaN in the first bin of each recording after the first, and in
+    # bins without data of the axis
     low: Floats
     high: Floats  # (bins, 6) highest sample in SI; NaN where `low` is NaN
     mean: Floats  # (bins, 6) mean of the samples in SI
 
     # (bins, 6) standard deviation of the differences of successive samples / sqrt(2), in SI
     noise: Floats
-    used: Flags  # (bins,) whether all samples of the bin are used
+    # (bins,) whether all samples of the bin are used; True in a recording without used samples
+    used: Flags
     middle: Floats  # (6,) median over the bins of (low + high) / 2, in SI
     excluded: tuple[Excluded, ...]
     gaps: tuple[tuple[float, float], ...]  # (start, end) in s of times without samples
@@ -260,8 +262,8 @@ class SignalSummary:
     def reach(self) -> Floats:
         """Largest distance of a sample from ``middle`` in the used bins, (6,), in SI.
 
-        If no used bin has a distance above 0, it is the largest distance in all bins. It is 1 for
-        an axis that is absent or constant.
+        If no axis has a distance above 0 in the used bins, all bins are examined. The result is 1
+        for an axis without a distance above 0 in the examined bins.
         """
         sizes = np.fmax(np.abs(self.low - self.middle), np.abs(self.high - self.middle))
         for rows in (sizes[self.used], sizes):

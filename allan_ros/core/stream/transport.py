@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Findings about a live input: present faults first, then the latest events.
 
-The counts of a stream never decrease, so an event would be reported as long as a node runs.
-Therefore, only recent events are reported.
+The counts of a stream include all events since the start, so an event would be reported as long as
+a node runs. Therefore, only recent events are reported.
 
 Pauses, losses and steps of the clock
 -------------------------------------
@@ -96,15 +96,16 @@ class TransportStatistics:
 class Arrivals:
     """Counts interruptions, and forward steps of the clock that makes the stamps.
 
-    The stamp of a message minus its time of reception is the offset of the clock minus the delay
-    of the message. The maximum of this difference over a few seconds changes only if the clock is
-    set. ``statistics`` is updated.
+    The stamp of a message minus its time of reception is the offset of the clock minus the delay of
+    the message. The maximum of this difference over a few seconds changes by more than `STEP_S` if
+    the clock is set, and rarely otherwise. ``statistics`` is updated.
     """
 
     def __init__(self, statistics: TransportStatistics) -> None:
         self._statistics = statistics
         self._origin_ns = self._lost = 0
-        # stamp and time of reception, in s, of the latest message
+        # largest stamp since the clock was last set back, and time of reception of the latest
+        # message, in s
         self._latest: tuple[float, float] | None = None
         # time of reception, and stamp minus this time, of the messages within `ENVELOPE_S`
         self._offsets: deque[tuple[float, float]] = deque()
@@ -176,7 +177,7 @@ class ConstantAxes:
         self._longest = np.zeros(len(AXES), np.int64)
 
     def update(self, samples: NDArray[np.float64]) -> None:
-        """Process the next samples, (n, 6), in any unit."""
+        """Process the next samples, (n, 6), at least one, in any unit."""
         for i, column in enumerate(samples.T):
             changes = np.flatnonzero(column != np.append(self._last[i], column[:-1]))
             if len(changes):
@@ -251,7 +252,8 @@ class TransportMonitor:
         ``transport`` and ``health`` contain the counts since the start. ``publishers`` are the
         names of the publishing nodes. ``stream`` are the findings about the complete stream.
         ``graph`` are findings about publishers with an incompatible type or QoS. If there are none,
-        missing messages are reported after ``stale_after`` s without a message.
+        missing messages are reported after ``stale_after`` s without a message, but not in the
+        first `STARTUP_S`.
         """
         self._update(time_s, transport, health)
         present = [*graph] or self._silence(time_s, transport, publishers, stale_after)
@@ -280,7 +282,7 @@ class TransportMonitor:
         self.set_received(time_s, transport.received)
         usable = c.received - c.not_finite - c.duplicate - c.backward - c.untimed
         if health.rate_hz is None and c.received > 2 * LEARN:
-            usable = self._usable  # all values are NaN, infinite or 0, and therefore not usable
+            usable = self._usable  # without a rate, the values or the stamps are not usable
         has_progress = usable != self._usable
         if has_progress:
             self._last_usable, self._usable = time_s, usable
@@ -357,7 +359,8 @@ class TransportMonitor:
         ] or [oldest_counts]
         recent_counts = _increase_since(oldest_counts, counts)
         present_counts = _increase_since(earlier_counts[-1], counts)
-        # samples that were excluded until the clock was found to be set back are not reported
+        # samples that are excluded until the clock is found to be set back are not reported, except
+        # after a recent jump, when more samples are excluded
         recent_counts['backward_stamps'] -= (BACKWARD_RUN - 1) * recent_counts['clock_jumps']
         findings = event_findings(recent_counts, health, LATELY)
         if recent_counts['stamps_leapt'] > 0:

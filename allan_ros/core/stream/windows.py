@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Windows of about half a second of samples: statistics, classification, and the latest windows."""
+"""Windows of consecutive samples: statistics, classification, and the latest windows."""
 
 from __future__ import annotations
 
@@ -95,8 +95,9 @@ def von_neumann_ratio(parts: Iterable[Floats]) -> Floats:
     """Return the von Neumann ratio per axis, (axes,): 1 for white noise, near 0 for slow motion.
 
     The ratio is half the mean square of the differences between neighboring samples, divided by the
-    variance. Each part, (axes, n), is a sequence of samples without a gap. The ratio is NaN if the
-    samples are constant. Source: J. von Neumann, Annals of Mathematical Statistics 12 (1941), 367.
+    variance. Each part, (axes, n), is a sequence of samples without a gap. The ratio of constant
+    samples is NaN, or 0 if their mean is rounded. Source: J. von Neumann, Annals of Mathematical
+    Statistics 12 (1941), 367.
     """
     parts = list(parts)
     differences = sum((np.diff(rows, axis=1) ** 2).sum(axis=1) for rows in parts)
@@ -110,7 +111,7 @@ class WindowClass(NamedTuple):
 
     moving: Flags  # the window is not at rest: in motion, stuck, decreased, or foreign
     quiet: Flags  # the noise is below the limits at which a motion ends
-    stuck: Flags  # an axis repeats one value
+    stuck: Flags  # an axis with much smaller noise repeats one value
     decreased: Flags  # the noise of an axis is much smaller than the noise floor
     foreign: Flags  # the samples are not measurements in the units of the noise floor
     rotating: Flags  # only the mean angular rate differs from a window at rest
