@@ -68,8 +68,9 @@ class Outcome:
 def outcomes_of(units: Sequence[BatchItem], args: argparse.Namespace) -> Iterator[Outcome]:
     """Yield the outcome of each unit, in the order of the units.
 
-    The units are analyzed in this process, in several processes, or on a cluster. Raises AllanError
-    if the cluster cannot be used.
+    The units are analyzed in this process, in several processes, or on a cluster. If one of several
+    processes dies, the outcomes that are still missing state this as an error. Raises AllanError if
+    the cluster cannot be used.
     """
     if getattr(args, 'scheduler', None):
         recorded_units = on_cluster(
@@ -82,10 +83,20 @@ def outcomes_of(units: Sequence[BatchItem], args: argparse.Namespace) -> Iterato
         yield from map(outcome_of, units, [args] * len(units))
         return
     from concurrent.futures import ProcessPoolExecutor
+    from concurrent.futures.process import BrokenProcessPool
     from multiprocessing import get_context
 
-    with ProcessPoolExecutor(min(args.jobs, len(units)), mp_context=get_context('spawn')) as pool:
-        yield from pool.map(outcome_of, units, [args] * len(units))
+    pool = ProcessPoolExecutor(min(args.jobs, len(units)), mp_context=get_context('spawn'))
+    try:
+        futures = [pool.submit(outcome_of, unit, args) for unit in units]
+        for unit, future in zip(units, futures):
+            try:
+                yield future.result()
+            except BrokenProcessPool:
+                reason = 'a process died, probably because memory ran out: reduce --jobs'
+                yield Outcome(unit, error=f'{unit.path}: {reason}')
+    finally:
+        pool.shutdown(cancel_futures=True)
 
 
 def outcome_of(

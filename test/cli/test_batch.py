@@ -7,13 +7,15 @@ from __future__ import annotations
 import csv
 import json
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from multiprocessing import active_children
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
-from allan_ros.cli import outcomes
+from allan_ros.cli import batch, outcomes
 from allan_ros.cli.analyze import recordings_in
 from allan_ros.cli.console import EXIT_FAULT
 from allan_ros.cli.main import main
@@ -103,12 +105,32 @@ def test_a_fault_of_one_recording_does_not_end_the_others(
         assert 'b.npz' in second and 'gyro N' in second
 
 
+def test_a_process_that_dies_is_an_error_of_the_units_without_outcome(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: Any
+) -> None:
+    for i in range(8):
+        shutil.copy(folder / 'a.npz', tmp_path / f'{i}.npz')
+    original = batch.outcomes_of
+
+    def killed(units: Any, args: Any) -> Iterator[outcomes.Outcome]:
+        for i, outcome in enumerate(original(units, args)):
+            for child in active_children() if i == 0 else ():
+                child.kill()
+            yield outcome
+
+    monkeypatch.setattr(batch, 'outcomes_of', killed)
+    assert main(['analyze', str(tmp_path), '--jobs', '2', *QUICK]) == 1
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].startswith('measured: 0.npz') and len(lines) == 8
+    assert lines[-1].startswith(f'error: {tmp_path}/7.npz: a process died, probably because')
+
+
 def test_json_has_a_line_for_each_recording(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(['analyze', str(folder), '--json', *QUICK]) == 0
-    batch = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
-    assert [Path(entry['path']).name for entry in batch] == ['a.npz', 'b.npz']
+    documents = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert [Path(entry['path']).name for entry in documents] == ['a.npz', 'b.npz']
     # both are copies of one recording, which must not be added twice
     assert main(['analyze', *(str(path) for path in sorted(folder.iterdir()))]) == 1
     assert 'give each recording once' in capsys.readouterr().err
