@@ -185,9 +185,9 @@ def run_check(
 ) -> int:
     """Print one line for each unit as soon as it is checked, then the totals of several units.
 
-    With ``--quiet`` and without ``--json``, nothing is printed. If the command line states a folder
-    for the output, the files of each unit and a summary of all units are written, too. Returns the
-    worst exit code of the units.
+    With ``--quiet`` and a folder for the output, no text is printed. If the command line states a
+    folder for the output, the files of each unit and a summary of all units are written, too.
+    Returns the worst exit code of the units.
 
     Parameters
     ----------
@@ -205,6 +205,7 @@ def run_check(
         only unit cannot be read, unless the output is JSON.
     """
     console, judged_units = Console.of(args), []
+    shows_text = not console.json and not (console.quiet and args.output)
     plan = load_plan(args.plan) if args.plan else None
     judge = Judge(args, plan, decides=True)
     unchecked: dict[str, None] = {}
@@ -217,7 +218,7 @@ def run_check(
             console.line(_check_document(judged))
         elif outcome.results is None and number == 1 and outcome.code == EXIT_ERROR:
             raise AllanError(outcome.error)
-        elif not console.quiet:
+        elif shows_text:
             _print_unit(judged, args)
             for sentence in judged.sentences if console.verbose else ():
                 print(f'  {sentence}')
@@ -228,7 +229,7 @@ def run_check(
     if number > 1 and console.json:
         totals = {word: len(named) for word, named in names_by_word.items()}
         console.line({'units': number, 'totals': totals, 'exit_code': int(code)})
-    elif not console.json and not console.quiet:
+    elif shows_text:
         if number > 1:
             texts = [
                 _total(*word_and_names)
