@@ -385,12 +385,12 @@ def _squared_amplitudes(
 
 
 def _second_differences(points: Floats, summed: int, level: CascadeLevel) -> tuple[Floats, Ints]:
-    """Return sums of squares, and numbers, of all second differences and of non-overlapping ones.
+    """Return the sums of squared second differences, and how many differences they contain.
 
-    The sums, (parts, 2 * factors, axes), and the numbers, (parts, 2 * factors), are first for all
-    differences at each factor that end in each part of the block, then for the non-overlapping
-    differences. The first part contains the non-overlapping differences of the complete block,
-    because they are not divided into periods.
+    The sums are (parts, 2 * factors, axes), and the numbers are (parts, 2 * factors). The first
+    half of the second dimension is for all differences that end in a part of the block. The other
+    half is for the non-overlapping differences. They are not divided into periods, so the first
+    part contains the sums over the complete block.
 
     ``points``, (axes, `_KEPT` + n), are `_KEPT` earlier points, of which only the last ``summed``
     are in the segment, and the n points of a block. Only differences that end in the block are

@@ -150,8 +150,9 @@ class DriveFit(NamedTuple):
 class DriveLikelihood:
     """Residuals of drives, and the noise and the unknowns that may have caused these residuals.
 
-    All arrays except ``scale`` are divided by ``scale``, and covariances by the products of two of
-    its elements, so that residuals with different units of measurement have similar sizes.
+    The text of the module defines the symbols M_i, s_i, F and U of the model. All arrays except
+    ``scale`` are divided by ``scale``, and covariances by the products of two of its elements, so
+    that residuals with different units of measurement have similar sizes.
 
     Attributes
     ----------
@@ -165,7 +166,8 @@ class DriveLikelihood:
         Covariances M_i: 'gyro_white' and 'accel_white' for white noise, 'gyro_slow' and
         'accel_slow' for measured drift, 'gyro_drift' and 'accel_drift' for unknown drift.
     own : (drives, 9, 9) array
-        Covariance F.
+        Covariance F of the errors that no factor changes: noise at the rests, and second-order
+        effects.
     common : (drives, 9, r) array
         Columns of U for the bias of the accelerometer and for the rotation of the Earth.
     effects : mapping of str to (drives, 9, k) array

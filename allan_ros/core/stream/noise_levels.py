@@ -202,7 +202,7 @@ class NoiseLevels:
         self._begin(floor)
 
     def try_another(self, floor: NoiseFloor, change: Change, began_ns: int) -> None:
-        """Begin another level on trial, and keep the level whose sums are the result."""
+        """Begin another level on trial. The sums of the present level remain the result."""
         if self.is_tried:
             self._dropped.add(self.present.counted_as(self.change))
         else:

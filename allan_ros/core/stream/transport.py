@@ -69,9 +69,9 @@ STARTUP_S = 5.0
 of publishers takes time."""
 
 STUCK_S, STUCK_RUNS = 1.0, 20
-"""An axis is stuck if its value has not changed for this time in s, and for this many times the
-number of samples of its longest earlier run of equal values. An earlier run does not count if it
-was longer than this many times the longest run before it, because the axis was then stuck."""
+"""An axis is stuck if its value has not changed for `STUCK_S` seconds, and for `STUCK_RUNS` times
+as many samples as in its longest earlier run of equal values. Earlier runs in which the axis was
+stuck do not count."""
 
 
 @dataclass
