@@ -36,7 +36,11 @@ from .options import Command, Option, Settings, settings_of
 
 
 def run(args: argparse.Namespace) -> int:
-    """Write or print a file for a state estimator or simulator, or list the export targets."""
+    """Write or print a file for a state estimator or simulator, or list the export targets.
+
+    With ``--against``, the drift that the user's file predicts and the measured drift are printed
+    instead. Returns the exit code.
+    """
     console = Console.of(args)
     if args.list and console.json:
         console.document({'targets': {name: target.title for name, target in TARGETS.items()}})

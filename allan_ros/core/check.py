@@ -470,11 +470,12 @@ def _p_value_of_limit(a: Known, limit: float, power: float) -> float:
     equals the upper limit. The errors of the coefficient to the power ``power`` are assumed to be
     normally distributed.
     """
-    # At the normal quantile z, the lower limit of the estimate is value exp(-s z), where s is the
-    # standard error of its logarithm. The upper limit is limit (z / 1.96)^(1 / power), because the
-    # number that is not resolved is assumed to be 0, which is the worst case. At the z where both
-    # limits are equal, each limit is wrong with probability Phi(-z). The p value is 4 Phi(-z):
-    # two limits can be wrong, and either recording could be the one that resolves the number.
+    # The estimate is compared with the upper limit of the number that is not resolved. At the
+    # normal quantile z, the lower limit of the estimate is value exp(-s z), where s is the standard
+    # error of its logarithm. The upper limit is limit (z / 1.96)^(1 / power), because the number
+    # that is not resolved is assumed to be 0, which is the worst case. At the z where both limits
+    # are equal, each limit is wrong with probability Phi(-z). The p value is 4 Phi(-z): two limits
+    # can be wrong, and either recording could be the one that resolves the number.
     from scipy import special
 
     value, low, _ = a

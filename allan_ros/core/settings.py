@@ -195,13 +195,14 @@ class SegmenterSettings(CheckedSettings):
 
     stamps: str = fixed_parameter(
         'header',
-        'Sample times: header uses the header stamps, or the record times if all stamps are equal '
-        'or zero; record always uses the record times.',
+        'Sample times: header uses the header stamps, or the record times if the stamps are zero, '
+        'mostly equal or in no order; record always uses the record times.',
         choices=('header', 'record'),
     )
     declared_rate: float = fixed_parameter(
         0.0,
-        'Expected sample rate, which is only compared with the stamps; 0: no check.',
+        'Expected sample rate: it is compared with the stamps, and used if the stamps are missing '
+        'or bursty; 0: unknown.',
         'Hz',
         0.0,
         1e6,

@@ -289,10 +289,11 @@ def json_form(rows: Sequence[Row], header: Sequence[str]) -> str:
 
 
 def line_form(line: str, before: str = '', after: str = '') -> Form:
-    """Return a function that writes a file with one line per key.
+    """Return a function that returns the text of a file with one line per key.
 
-    ``line`` is a `str.format` template with ``key`` and ``value``. ``before`` is text between
-    header and lines, ``after`` is text after the lines.
+    The header comes first, as comments that begin with ``#``. ``line`` is a `str.format` template
+    with ``key`` and ``value``. ``before`` is text between header and lines, ``after`` is text after
+    the lines.
     """
 
     def form(rows: Sequence[Row], header: Sequence[str]) -> str:

@@ -114,10 +114,11 @@ def in_motion(variances: dict[str, Variances], results: Results) -> dict[str, Va
 
 
 def bias_in_model(results: Results) -> dict[str, Estimate]:
-    """Return axis -> bias in SI: the mean of the samples at rest, which the results contain.
+    """Return axis -> mean of the samples at rest in SI, for each axis whose mean is known.
 
-    The standard deviation of the bias is the scatter of the bias between recordings, or 0 if this
-    is unknown. The relay uses this bias until the present bias is known.
+    For an accelerometer, the mean contains gravity. The standard deviation is the scatter of the
+    bias between recordings, or 0 if this is unknown. Unless the samples are debiased, the relay
+    uses the values of the gyro until the present bias is known.
     """
     return {
         name: Estimate.normal(

@@ -43,8 +43,9 @@ def coefficient_table(
     terms : sequence of str
         The terms that are shown.
     prefixes : bool
-        Whether the unit of a row gets an SI prefix that suits the largest value or upper limit of
-        the row.
+        Whether a unit with the prefix u or m, such as ug, gets a larger prefix or none if the
+        largest value or upper limit of its row is large enough (`prefixed`). Other units, such as
+        deg/h, are unchanged.
     """
     sensor = sensor_of(next(iter(axes)))
     rows = []

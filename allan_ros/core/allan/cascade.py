@@ -169,8 +169,8 @@ class _HalfBlocks:
     used: Flags  # (octaves,) whether the block that ends with this half block is in the spectra
 
     @classmethod
-    def none(cls, octaves: range, axes: int, kind: str) -> _HalfBlocks:
-        """Return the half blocks of a new segment, before its first sample."""
+    def empty(cls, octaves: range, axes: int, kind: str) -> _HalfBlocks:
+        """Return half blocks without samples, for the start of a segment."""
         number, columns = len(octaves), 2 * len(octave(octaves[0]).bins)
         first_products = np.zeros((number, axes, columns), kind)
         return cls(first_products, np.full(number, np.inf), np.zeros(number, bool))
@@ -243,7 +243,7 @@ class _RunningLevel:
         # many samples they are not
         self.kind = 'f8' if level else 'f4'
         self.halves = [
-            _HalfBlocks.none(group, rows - 1, self.kind) for group in level_of(level).groups
+            _HalfBlocks.empty(group, rows - 1, self.kind) for group in level_of(level).groups
         ]
 
     def __deepcopy__(self, memo: object) -> _RunningLevel:

@@ -49,8 +49,8 @@ ALIASED = 0.1
 in a bin, or the variance of the alias in the block means, relative to the noise."""
 
 STRONG = 0.998
-"""Least share of a sinusoid in the power of a bin for which the sinusoid also adds power to distant
-bins."""
+"""If a sinusoid has at least this share of the power of a bin, the power that it adds to distant
+bins is considered, too."""
 
 EXCLUDED = 1e-6
 """Factor of the degrees of freedom of bins that may contain the alias of a sinusoid: nearly 0, so

@@ -162,7 +162,7 @@ class Motion:
         self.level = level
         self.windows = 0  # number of windows of the motion
         self.quiet = 0  # number of quiet windows at the end of the motion (see `WindowClass`)
-        # number of windows at the end of the motion that are quiet or only rotating
+        # number of windows at the end of the motion in which the IMU is at rest or only rotates
         self.steady = 0
 
         # whether the axes of the accelerometer were exchanged, or changed their signs

@@ -422,7 +422,8 @@ class SampleClock:
         """Return how many samples were lost before each of the next n samples, and where to split.
 
         ``step``, (n,), are the steps of the stamps in ns. Both results have this shape. The data
-        are not split at short gaps, which are interpolated.
+        are split where the stamps decrease, at gaps of more than ``max_bridge`` samples, and where
+        more than `BRIDGED_SHARE` of a block would be interpolated. Other gaps are interpolated.
         """
         lost, split = np.zeros(len(step), np.int64), step < 0
         interpolated: Counter[int] = Counter()  # number of interpolated samples of each clock block

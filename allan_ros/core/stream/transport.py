@@ -359,8 +359,8 @@ class TransportMonitor:
         ] or [oldest_counts]
         recent_counts = _increase_since(oldest_counts, counts)
         present_counts = _increase_since(earlier_counts[-1], counts)
-        # samples that are excluded until the clock is found to be set back are not reported, except
-        # after a recent jump, when more samples are excluded
+        # A few samples are excluded before it is found that the clock was set back. They are not
+        # reported. If the clock was set back shortly before, more are excluded, and these are.
         recent_counts['backward_stamps'] -= (BACKWARD_RUN - 1) * recent_counts['clock_jumps']
         findings = event_findings(recent_counts, health, LATELY)
         if recent_counts['stamps_leapt'] > 0:
