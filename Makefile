@@ -115,9 +115,9 @@ endif
 endef
 $(foreach each,$(VENV) $(LINT) $(SITE),$(eval $(call runs,$(each))))
 
+# An environment that the user has created is kept if its pip runs.
 $(VENV)/.ready: setup.py pyproject.toml scripts/venv_extras.py
-	rm -rf $(VENV)
-	$(PYTHON) -m venv $(VENV)
+	$(VENV)/bin/python -m pip --version >/dev/null 2>&1 || { rm -rf $(VENV) && $(PYTHON) -m venv $(VENV); }
 	extras=$$($(VENV)/bin/python scripts/venv_extras.py $(DISTRO)) && \
 		$(VENV)/bin/python -m pip install $(PIP_OPTIONS) --editable ".$${extras:+[$$extras]}"
 	touch $@

@@ -19,7 +19,7 @@ from ..core.imu import sensor_of
 from ..core.settings import SegmenterSettings, check_rate
 from ..export import target_of
 from ..readers import FORMATS, SUFFIXES, ReadOptions
-from ..readers.recording import METADATA
+from ..readers.recording import BAG_SUFFIXES, METADATA
 from ..readers.recording_sums import (
     ReadJob,
     RecordingSums,
@@ -118,8 +118,8 @@ the file, from 0 on, to the name of the bag."""
 def recordings_in(path: str, files_are_units: bool = False) -> list[str]:
     """Return the paths of the recordings in a folder, or only ``path`` if it is one recording.
 
-    Of the folders in the folder, only bags with a metadata.yaml are recordings. A folder is one
-    recording if it has a metadata.yaml, or contains only one bag or its numbered parts. With
+    A folder in the folder is a recording if it contains a metadata.yaml or files of a bag. A folder
+    is one recording if it has a metadata.yaml, or contains only one bag or its numbered parts. With
     ``files_are_units``, numbered files without metadata.yaml are separate recordings. If a folder
     contains folders of analyses and no recording, the paths of these folders are returned. A folder
     that is itself the result of an analysis, or contains nothing to read, is returned as it is,
@@ -141,7 +141,7 @@ def recordings_in(path: str, files_are_units: bool = False) -> list[str]:
 def _contains_a_bag(path: Path) -> bool:
     """Return whether a path is a folder with a metadata.yaml, or directly with files of a bag."""
     try:
-        return any(child.name == METADATA or child.suffix in STORAGES for child in path.iterdir())
+        return any(child.name.endswith((METADATA, *BAG_SUFFIXES)) for child in path.iterdir())
     except OSError:  # no folder, or an unreadable one
         return False
 

@@ -22,7 +22,7 @@ from ..core.findings import Finding
 from ..core.fit.fit_findings import ADVISED_TERMS
 from ..core.imu import SENSORS, SI_UNITS, sensor_of, shown_unit
 from ..readers.files import open_regular, write_atomic
-from ..readers.recording import translated
+from ..readers.recording import listed, translated
 from ..readers.recording_sums import ReadJob
 from ..results.plan import Limits, Plan, load_plan
 from ..results.results import Results
@@ -252,8 +252,7 @@ def _total(word: str, names: Sequence[str]) -> str:
     """
     if word == DECISION_WORDS[Decision.WITHIN]:
         return f'{len(names)} {word}'
-    more_text = f' and {len(names) - MOST_NAMED} more' if len(names) > MOST_NAMED else ''
-    return one_line(f'{len(names)} {word} ({", ".join(names[:MOST_NAMED])}{more_text})')
+    return one_line(f'{len(names)} {word} ({listed(names, MOST_NAMED)})')
 
 
 def _print_unit(unit: Judged, args: argparse.Namespace) -> None:

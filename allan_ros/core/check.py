@@ -35,7 +35,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .allan.curve import CI_LEVEL, AxisCurve
-from .estimate import UNKNOWN, Z_95, Estimate
+from .estimate import UNKNOWN, Z_95, Estimate, lies_beyond
 from .fit.result import TERMS
 
 MARGIN = 0.2
@@ -162,8 +162,7 @@ class Check:
         The complete 95 % interval of the ratio must lie above 1 + ``margin``, or below
         1 / (1 + ``margin``).
         """
-        low, high = self.ratio.ci95 or (1.0, 1.0)
-        return self.significant and (low > 1.0 + margin or high < 1.0 / (1.0 + margin))
+        return self.significant and lies_beyond(self.ratio.ci95 or (1.0, 1.0), margin)
 
     def equivalence(self, within: float) -> Equivalence:
         """Return whether both recordings have the same value up to the fraction ``within``.

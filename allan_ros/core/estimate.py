@@ -16,6 +16,13 @@ from .settings import MAX_FLOAT, expect
 Ends = tuple[float, float]
 """Ends of an interval: (low, high)."""
 
+
+def lies_beyond(ratio_ends: Ends, margin: float) -> bool:
+    """Return whether an interval of a ratio lies above 1 + margin, or below 1 / (1 + margin)."""
+    low, high = ratio_ends
+    return low > 1.0 + margin or high < 1.0 / (1.0 + margin)
+
+
 Status = Literal['estimated', 'likely', 'not_observable']
 """Whether a number is resolved ('estimated') or not ('likely', 'not_observable'). The estimated
 square of a 'likely' number exceeds 0 by more than the standard error of this square. Numbers that

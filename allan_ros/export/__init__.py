@@ -19,6 +19,7 @@ from ..core.errors import AllanError, one_line
 from ..core.estimate import LIMIT_DIGITS, duration_text, significant
 from ..core.filters.noise_parameters import horizon_text
 from ..core.findings import Finding, finding
+from ..readers.recording import listed
 from ..results.from_datasheet import FROM_DATASHEET
 from ..results.results import MOTION_MEASURED
 from ..version import __version__
@@ -224,8 +225,4 @@ def _raised(sensor: SensorInMotion) -> str:
 
 def _sources(results: Results) -> str:
     sources = [f'{s.path} {s.topic}'.strip() for s in results.provenance.sources]
-    unnamed_count = len(sources) - NAMED_SOURCES
-    source_names = ', '.join(sources[:NAMED_SOURCES]) + (
-        f' and {unnamed_count} more' if unnamed_count > 0 else ''
-    )
-    return source_names or 'sums without a recording'
+    return listed(sources, NAMED_SOURCES) or 'sums without a recording'

@@ -175,6 +175,7 @@ class ImuWatch(NodePart):
         """Return the status of the input; also publish the sums if the input has changed."""
         self._update()
         self._checkpoint.tick()
+        # before `_health_and_findings`, which stores the number of messages that this compares
         is_paused = self._is_paused()
         health, stream_findings = self._health_and_findings()
         statistics = self._input.statistics()

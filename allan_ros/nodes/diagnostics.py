@@ -100,8 +100,6 @@ def node_text(found: Finding) -> str:
 
     Other command line options stay.
 
-    Options that `PARAMETERS` does not contain are kept.
-
     Examples
     --------
     >>> from allan_ros.core.findings import finding

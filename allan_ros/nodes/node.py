@@ -34,7 +34,8 @@ from .shell import STEADY_CLOCK
 T = TypeVar('T', bound=CheckedSettings)
 
 TICK_S = 0.25
-"""Period in s of the timer that polls the parts of a node."""
+"""Period in s of the timer that polls the parts of a node. Tasks with shorter periods are done at
+each tick. A shorter period costs CPU time, because rclpy builds its wait set at each wake."""
 
 METRICS_S = 5.0
 """Period in s at which the metrics file is written."""

@@ -161,7 +161,11 @@ class EstimatorSettings(CheckedSettings):
         choices=METHODS,
     )
     growth: float = parameter(
-        0.1, 'Fit again when the number of samples has grown by this fraction.', '', 0.0, 10.0
+        0.1,
+        'Fit again when the number of samples of a sensor has grown by this fraction.',
+        '',
+        0.0,
+        10.0,
     )
     sensor: str = fixed_parameter(
         '', 'Datasheet to compare with: a name in config/sensors or a file; empty: none.'

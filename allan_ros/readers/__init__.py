@@ -14,7 +14,16 @@ from pathlib import Path
 from typing import NamedTuple, cast
 
 from ..core.errors import AllanError
-from .recording import METADATA, ReadOptions, Recording, SourceInfo, first_bytes
+from .recording import (
+    BAG_MAGICS,
+    COMPRESSION_MAGICS,
+    METADATA,
+    ZIP_MAGIC,
+    ReadOptions,
+    Recording,
+    SourceInfo,
+    first_bytes,
+)
 
 __all__ = [
     'FORMATS',
@@ -45,20 +54,17 @@ class Format(NamedTuple):
     has_topics: bool = False
 
 
-ZSTD = b'\x28\xb5\x2f\xfd'
-"""First bytes of a file compressed by zstd. Such a file is opened as a bag."""
-
 FORMATS = {
     'bag': Format(
         'rosbag2',
         'open_bag',
         ('.mcap', '.db3', '.bag'),
-        ('.zstd', '.zst', '.active'),
-        (b'\x89MCAP0\r\n', b'SQLite format 3\0', b'#ROSBAG', ZSTD),
+        ('.zstd', '.zst', '.lz4', '.active'),
+        (*BAG_MAGICS, *COMPRESSION_MAGICS),
         has_topics=True,
     ),
     'table': Format('tables', 'open_table', ('.csv', '.tsv'), ('.txt', '.dat')),
-    'array': Format('arrays', 'open_array', ('.npz', '.npy'), magics=(b'PK\x03\x04', b'\x93NUMPY')),
+    'array': Format('arrays', 'open_array', ('.npz', '.npy'), magics=(ZIP_MAGIC, b'\x93NUMPY')),
     'ulog': Format('ulog', 'open_ulog', ('.ulg',), magics=(b'ULog\x01\x12\x35',), has_topics=True),
 }
 """Name of a format -> description of this format. A folder always has the format 'bag'."""

@@ -39,6 +39,7 @@ from .files import open_regular
 from .recording import (
     MAX_CHUNK_BYTES,
     MAX_FILE_RATIO,
+    ZIP_MAGIC,
     ReadOptions,
     Recording,
     Report,
@@ -54,8 +55,6 @@ COLUMN_NAMES = {1: 'gx', 3: 'gx,gy,gz', 4: 't,gx,gy,gz', 6: 'gx,gy,gz,ax,ay,az',
 
 SAMPLES, STAMPS, RECORD_STAMPS, FRAME = 'imu', 'stamps_ns', 'record_ns', 'frame_id'
 """Names of the arrays in a ``.npz`` file."""
-
-ZIP_MAGIC = b'PK\x03\x04'
 
 MAX_FRAME_ARRAY_BYTES = 4 * MAX_NAME
 """Largest accepted size of the array ``frame_id`` in bytes. numpy stores four bytes for each

@@ -22,14 +22,15 @@ from ..core.errors import AllanError
 from .bag_messages import Topic, Truncation, decompress_file, frame_compression, normal_type
 from .cdr import IMU_TYPE
 from .files import MAX_BYTES, parse_yaml, read_bounded
-from .recording import METADATA, damaged, first_bytes, listed, translated
-
-_FORMATS = {b'\x89MCAP0\r\n': 'mcap', b'SQLite format 3\0': 'sqlite3', b'#ROSBAG': 'ros1'}
-"""First bytes of a bag file -> format of the file, which is also the name of the module that reads
-the format."""
-
-SPLITS = ('.db3', '.mcap', '.db3.zstd', '.mcap.zstd', '.db3.lz4', '.mcap.lz4')
-"""Suffixes of the files in the folder of a bag."""
+from .recording import (
+    BAG_MAGICS,
+    BAG_SUFFIXES,
+    METADATA,
+    damaged,
+    first_bytes,
+    listed,
+    translated,
+)
 
 ENCODINGS = ('cdr', 'ros1')
 """Serializations of messages that can be read."""
@@ -115,7 +116,7 @@ class Bag:
             decompressed = Path(folder, file.stem)
             decompress_file(file, compression, decompressed)
             head = first_bytes(decompressed)
-        formats = [name for magic, name in _FORMATS.items() if head.startswith(magic)]
+        formats = [name for magic, name in BAG_MAGICS.items() if head.startswith(magic)]
         if not formats:
             raise damaged(file, 'it is not a bag', 'give a rosbag2 .db3 or .mcap, or a ROS 1 .bag')
         (self.format,) = formats
@@ -165,7 +166,7 @@ def bag_of(path: Path) -> Bag:
     with translated(path, (OSError,), 'check its permissions'):
         files, described = _read_metadata(path) if os.path.lexists(path / METADATA) else ((), None)
         if not files:
-            splits = [child for child in path.iterdir() if child.name.endswith(SPLITS)]
+            splits = [child for child in path.iterdir() if child.name.endswith(BAG_SUFFIXES)]
             files = tuple(sorted(splits, key=_natural))
         if not files:
             raise _no_bag_in(path)

@@ -18,13 +18,12 @@ from numpy.typing import NDArray
 from ..core.errors import AllanError
 from .files import open_regular
 from .recording import (
+    COMPRESSION_MAGICS,
     MAX_CHUNK_BYTES,
     MAX_FILE_RATIO,
     optional_package,
     translated,
 )
-
-_FRAME_MAGIC = {b'\x28\xb5\x2f\xfd': 'zstd', b'\x04\x22\x4d\x18': 'lz4'}
 
 
 @dataclass(frozen=True)
@@ -114,7 +113,7 @@ def normal_type(name: str) -> str:
 
 def frame_compression(head: bytes | memoryview) -> str:
     """Return the compression that the first bytes of data indicate: 'zstd', 'lz4' or ''."""
-    return _FRAME_MAGIC.get(bytes(head[:4]), '')
+    return COMPRESSION_MAGICS.get(bytes(head[:4]), '')
 
 
 def decompress(data: bytes | memoryview, compression: str, limit: int) -> bytes:

@@ -282,7 +282,8 @@ def columns_of(where: object, names: Iterable[str], options: ReadOptions) -> Col
             if axis in axes:
                 raise AllanError(
                     f'{where}: the columns {axis_names[axis]!r} and {name!r} both contain {axis}: '
-                    f'choose the columns of one IMU with --columns, such as gx={name},gy=NAME,...'
+                    'choose the columns of one IMU with --columns, such as '
+                    f'{kind[0]}{letter}={name},...'
                 )
             axis_names[axis] = name
             stated_unit = unit or getattr(options, f'{kind}_unit')

@@ -26,9 +26,7 @@ from numpy.typing import NDArray
 
 from .bag_messages import Messages, Topic, Truncation, among, decompress, normal_type
 from .files import open_regular
-from .recording import MAX_CHUNK_BYTES, damaged, translated
-
-MAGIC = b'\x89MCAP0\r\n'
+from .recording import MAX_CHUNK_BYTES, MCAP_MAGIC, damaged, translated
 
 FOOTER, SCHEMA_OPCODE, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX = 0x02, 0x03, 0x04, 0x05, 0x06, 0x07
 
@@ -63,7 +61,7 @@ number of messages that follows."""
 CRC_BYTES = 4
 """Number of bytes of the CRC-32 of the summary, the last field of the footer."""
 
-FOOTER_BYTES = RECORD_HEAD.size + FIXED_BYTES[FOOTER] + len(MAGIC)
+FOOTER_BYTES = RECORD_HEAD.size + FIXED_BYTES[FOOTER] + len(MCAP_MAGIC)
 """Number of bytes of the footer and the magic after it, at the end of a file."""
 
 LOOSE_BYTES = 1 << 20
@@ -159,10 +157,10 @@ class McapStorage:
         # channel -> number of messages in MessageIndex records and outside chunks
         self._indexed: Counter[int] = Counter()
         self.truncation: Truncation | None = None
-        if self._read(0, len(MAGIC)) != MAGIC:
+        if self._read(0, len(MCAP_MAGIC)) != MCAP_MAGIC:
             raise damaged(path, 'it is not an mcap file', 'give a recording')
         self._contents, listed_chunks, end = self._read_summary()
-        at = len(MAGIC)
+        at = len(MCAP_MAGIC)
         for chunk in listed_chunks:
             at = max(self._scan(at, chunk.offset - RECORD_HEAD.size), chunk.next)
             self._chunks.append(chunk)
@@ -172,8 +170,8 @@ class McapStorage:
             contents.counted = Counter(contents.stated)
         else:
             contents.stated = contents.stated or contents.counted | self._indexed
-            magic_at = self._size - len(MAGIC)
-            has_end = at >= magic_at > 0 and self._read(magic_at, len(MAGIC)) == MAGIC
+            magic_at = self._size - len(MCAP_MAGIC)
+            has_end = at >= magic_at > 0 and self._read(magic_at, len(MCAP_MAGIC)) == MCAP_MAGIC
             if not self.truncation and not has_end:
                 self.truncation = Truncation(at, self._size)
         self._chunks.sort()
@@ -264,7 +262,7 @@ class McapStorage:
         """
         no_summary: tuple[Contents, list[Chunk], int] = (Contents(), [], self._size)
         footer = self._read(max(0, self._size - FOOTER_BYTES), FOOTER_BYTES)
-        if not footer.endswith(MAGIC) or footer[0] != FOOTER:
+        if not footer.endswith(MCAP_MAGIC) or footer[0] != FOOTER:
             return no_summary
         start, _, checksum = struct.unpack_from('<QQI', footer, RECORD_HEAD.size)
         end = self._size - FOOTER_BYTES
@@ -272,7 +270,7 @@ class McapStorage:
             return no_summary
         try:
             data = self._read(start, end - start)
-            if checksum and zlib.crc32(data + footer[: -CRC_BYTES - len(MAGIC)]) != checksum:
+            if checksum and zlib.crc32(data + footer[: -CRC_BYTES - len(MCAP_MAGIC)]) != checksum:
                 return no_summary
             contents = Contents()
             chunks: dict[int, Chunk] = {}
@@ -302,8 +300,8 @@ class McapStorage:
         damaged_bytes = 0
         while at + RECORD_HEAD.size <= stop:
             head = self._read(at, RECORD_HEAD.size)
-            if head.startswith(MAGIC):  # the magic follows the footer
-                at += len(MAGIC)
+            if head.startswith(MCAP_MAGIC):  # the magic follows the footer
+                at += len(MCAP_MAGIC)
                 continue
             opcode, length = RECORD_HEAD.unpack(head)
             start, end = at + RECORD_HEAD.size, at + RECORD_HEAD.size + length

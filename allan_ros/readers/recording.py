@@ -36,6 +36,21 @@ that the overhead for each batch is negligible."""
 
 METADATA = 'metadata.yaml'
 
+MCAP_MAGIC = b'\x89MCAP0\r\n'
+
+BAG_MAGICS = {MCAP_MAGIC: 'mcap', b'SQLite format 3\0': 'sqlite3', b'#ROSBAG': 'ros1'}
+"""First bytes of a bag file -> format of the file, which is also the name of the module that reads
+the format."""
+
+COMPRESSION_MAGICS = {b'\x28\xb5\x2f\xfd': 'zstd', b'\x04\x22\x4d\x18': 'lz4'}
+"""First bytes of compressed data -> name of the compression. A compressed file is opened as a
+bag."""
+
+ZIP_MAGIC = b'PK\x03\x04'
+
+BAG_SUFFIXES = ('.db3', '.mcap', '.db3.zstd', '.mcap.zstd', '.db3.lz4', '.mcap.lz4')
+"""Suffixes of the files in the folder of a bag."""
+
 MAX_CHUNK_BYTES = 128 * 2**20
 """Largest accepted size of a chunk or record of a file in bytes, compressed or not. By default,
 recorders write chunks of about 1 MB."""
@@ -249,10 +264,10 @@ MOST_LISTED = 10
 """Largest number of columns or topics that a message names; the others are counted."""
 
 
-def listed(names: Sequence[str]) -> str:
-    """Return the first `MOST_LISTED` names and the number of further names, if any, as text."""
-    text = ', '.join(names[:MOST_LISTED])
-    n_more = len(names) - MOST_LISTED
+def listed(names: Sequence[str], most: int = MOST_LISTED) -> str:
+    """Return the first ``most`` names and the number of further names, if any, as text."""
+    text = ', '.join(names[:most])
+    n_more = len(names) - most
     return f'{text} and {n_more} more' if n_more > 0 else text
 
 

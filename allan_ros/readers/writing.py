@@ -22,7 +22,7 @@ import numpy as np
 from ..core.errors import AllanError
 from ..core.imu import AXES, NANOSECONDS, ImuBatch, joined
 from .cdr import IMU_TYPE, encode_imus
-from .recording import optional_package
+from .recording import METADATA, optional_package
 from .tables import FRAME_COMMENT
 
 BAG_FILES = {'.mcap': 'MCAP', '.db3': 'SQLITE3'}
@@ -88,7 +88,7 @@ def write_recording(
 
 def _keep_storage_file(bag: Path) -> None:
     """Replace the folder of a bag by its storage file."""
-    (file,) = (child for child in bag.iterdir() if child.name != 'metadata.yaml')
+    (file,) = (child for child in bag.iterdir() if child.name != METADATA)
     file_next_to_bag = file.rename(bag.with_name(f'{bag.name}.file'))
     shutil.rmtree(bag)
     file_next_to_bag.rename(bag)
@@ -102,7 +102,7 @@ def _draft(path: Path, overwrite: bool) -> Iterator[Path]:
     """
     if path.exists() and not overwrite:
         raise AllanError(f'{path} exists already: choose another name, or use --overwrite')
-    if path.is_dir() and not (path / 'metadata.yaml').is_file():
+    if path.is_dir() and not (path / METADATA).is_file():
         raise AllanError(f'{path} is a folder, but not a bag: choose another name')
     path.parent.mkdir(parents=True, exist_ok=True)
     # the draft has the final name in a temporary folder, because rosbags names files after the bag

@@ -179,11 +179,11 @@ def load(path: str | os.PathLike[str], method: str = 'likelihood') -> Results:
     different analyses, or when the Allan sums cannot be fitted.
     """
     expect(PATH, 'a path', path=path)
-    document_path = Path(path)
-    if os.path.isdir(path):  # unlike `Path.is_dir`, it raises no error if a folder is unreadable
-        has_results = os.path.isfile(document_path / RESULTS)
-        has_results = has_results or not os.path.isfile(document_path / SUMS)
-        document_path = Path(file_in(path, RESULTS if has_results else SUMS))
+    # unlike `Path.is_dir`, it raises no error if a folder is unreadable
+    is_folder, document_path = os.path.isdir(path), Path(path)
+    if is_folder:
+        has_sums, has_results = (os.path.isfile(document_path / n) for n in (SUMS, RESULTS))
+        document_path = Path(file_in(path, SUMS if has_sums and not has_results else RESULTS))
     document: Any = read_json(document_path)
     if isinstance(document, dict) and document.get('schema') == SUMS_FILE_SCHEMA:
         recorded = RecordingSums(
@@ -192,7 +192,7 @@ def load(path: str | os.PathLike[str], method: str = 'likelihood') -> Results:
         return analyze_recorded(recorded, method)
     results = results_from_document(document, str(document_path))
     file = document_path.parent / SUMS
-    if not os.path.isdir(path) or not os.path.isfile(file):
+    if not is_folder or not os.path.isfile(file):
         return results
     sums: Any = read_json(file)
     recorded = RecordingSums(str(file), *sums_file_from_document(sums, str(file)))

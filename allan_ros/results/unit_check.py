@@ -25,7 +25,11 @@ class Decision(IntEnum):
 
 
 DECISIONS_WORST_FIRST = (
-    *(Decision.BUG, Decision.EXCEEDS, Decision.UNREADABLE, Decision.NOT_JUDGED, Decision.WITHIN),
+    Decision.BUG,
+    Decision.EXCEEDS,
+    Decision.UNREADABLE,
+    Decision.NOT_JUDGED,
+    Decision.WITHIN,
 )
 """Decisions, the most severe first. The decision about a batch of IMUs is the most severe decision
 about one of its IMUs."""

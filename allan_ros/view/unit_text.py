@@ -7,7 +7,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from ..core.check import Check
-from ..core.estimate import LIMIT_DIGITS, Estimate, significant
+from ..core.estimate import LIMIT_DIGITS, NOTHING_KNOWN, Estimate, significant
 from ..core.findings import grouped
 from ..core.imu import AXES, SENSORS, sensor_of
 from ..results.plan import Limits, Plan
@@ -41,13 +41,18 @@ def measured_text(measured: Estimate, limits: Limits) -> str:
 
     The text is '-' if the quantity is unknown.
     """
+    number = _number_text(measured, limits)
+    return f'{number} {limits.unit}' if limits.unit and number != NOTHING_KNOWN else number
+
+
+def _number_text(measured: Estimate, limits: Limits) -> str:
+    """Return a measured number as text in the unit of the limits, without this unit."""
     sign, value = '', measured.value if measured.resolved else None
     if value is None:
         sign, value = '< ', measured.upper95
     if value is None:
-        return '-'
-    unit = f' {limits.unit}' if limits.unit else ''
-    return f'{sign}{significant(value / limits.scale, LIMIT_DIGITS)}{unit}'
+        return NOTHING_KNOWN
+    return f'{sign}{significant(value / limits.scale, LIMIT_DIGITS)}'
 
 
 def name_of(checks: Sequence[Check]) -> str:
@@ -82,12 +87,6 @@ def checks_text(checks: Sequence[Check], plan: Plan) -> str:
         texts.append(f'{name_of(group)} {value_text}{reason} (limit {limits_text(limits)})')
     remaining = [f'{len(texts) - SHOWN_CHECKS} more'] if len(texts) > SHOWN_CHECKS else []
     return '; '.join([*texts[:SHOWN_CHECKS], *remaining])
-
-
-def _number_text(measured: Estimate, limits: Limits) -> str:
-    """Return a measured number, or ``< limit``, without interval and unit of measurement."""
-    words = measured_text(measured, limits).split(' ')
-    return ' '.join(words[:2]) if words[0] == '<' else words[0]
 
 
 def unit_sentences(check: UnitCheck, results: Results, units: str) -> list[str]:

@@ -184,3 +184,12 @@ def test_a_name_that_the_system_rejects_is_one_line() -> None:
         load('x' * 300)
     with pytest.raises(AllanError, match='no datasheet'):
         config_file('sensors', 'x' * 300, 'datasheet')
+
+
+def test_a_compressed_file_is_read_with_any_name(tmp_path: Path) -> None:
+    lz4_frame = pytest.importorskip('lz4.frame')
+    write_bag(tmp_path / 'bag', imu_batches(30), 'mcap')
+    (storage_file,) = (tmp_path / 'bag').glob('*.mcap')
+    for name in ('one.mcap.lz4', 'one'):
+        (tmp_path / name).write_bytes(lz4_frame.compress(storage_file.read_bytes()))
+        assert len(read(tmp_path / name).samples) == 30

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import AllanError
+from ..estimate import lies_beyond
 from .curve import edf, noise_types_of_avar
 from .grid import LEVEL_FACTORS, allan_variance
 from .periods import add_padded
@@ -64,8 +65,7 @@ class NoiseStep:
 
         This means that the interval lies above 1 + margin, or below 1 / (1 + margin).
         """
-        low, high = self.ci95
-        return low > 1.0 + margin or high < 1.0 / (1.0 + margin)
+        return lies_beyond(self.ci95, margin)
 
     def coefficient_before(self, term: str) -> float | None:
         """Return the coefficient ``term`` (N or Q, in SI) before the first step.

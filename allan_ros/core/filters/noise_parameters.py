@@ -340,8 +340,8 @@ def axis_level(axis: str, fit: AxisFit, term: str) -> FilterLevel:
         return FilterLevel(Estimate(value, coefficient.ci95, name=term, axis=axis))
     if limit is None or not 0.0 < limit < math.inf:
         raise AllanError(
-            f'{term} of {axis} is not known, not even as a limit: record longer, or fit with '
-            'method likelihood'
+            f'{term} of {axis} is not known, not even as a limit: record longer at rest (method '
+            'paper gives no limits)'
         )
     unresolved = Estimate(None, upper95=limit, status='not_observable', name=term, axis=axis)
     return FilterLevel(unresolved)

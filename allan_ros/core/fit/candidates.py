@@ -20,7 +20,7 @@ import numpy as np
 from ..allan.grid import octave
 from ..noise import SEARCHED, Process
 from ..noise.process import FREQUENCY, Search
-from .likelihood import AxisData, Fit
+from .likelihood import RIDGE, AxisData, Fit
 from .statistics import Floats, Ints, Statistics, contrasts, without_lines
 
 SHORTEST_TIME = 2.0
@@ -50,7 +50,7 @@ class Moments(NamedTuple):
         free = fit.free
         scale = np.sqrt(np.maximum(np.diag(fit.information)[free], 1e-300))
         scaled_information = fit.information[np.ix_(free, free)] / np.outer(scale, scale)
-        scaled_information += 1e-9 * np.eye(len(free))
+        scaled_information += RIDGE * np.eye(len(free))
         shared = self.shared[:, free] / scale
         own_information = self.information - np.sum(
             shared * np.linalg.solve(scaled_information, shared.T).T, axis=1

@@ -231,12 +231,14 @@ def _down_weighted(rules: Selection, fit: Fit) -> tuple[Selection, Fit, dict[int
 
     The third result is octave -> measured over modeled power, for the octaves that differ.
     """
+    from scipy.special import chdtrc
+
     data = rules.data
     lack: dict[int, float] = {}
     for _ in range(2):
         dof = data.dof.copy()
         for o, (deviance, number) in _deviances(data, fit).items():
-            if _tail(deviance, number) * data.statistics.octaves < LACK_OF_FIT:
+            if chdtrc(number, deviance) * data.statistics.octaves < LACK_OF_FIT:
                 in_octave = data.statistics.octave == o
                 dof[in_octave] *= number / deviance
                 ratio = data.power[data.used] / fit.spectrum()
@@ -385,16 +387,6 @@ def _deviances(data: AxisData, fit: Fit) -> dict[int, tuple[float, float]]:
     }
 
 
-def _tail(deviance: float, number: float) -> float:
-    """Return the probability that chi-squared exceeds ``deviance``.
-
-    Chi-squared has ``number`` degrees of freedom.
-    """
-    from scipy.special import gammaincc
-
-    return float(gammaincc(number / 2.0, deviance / 2.0))
-
-
 def _test(rules: Selection, fit: Fit) -> _TestResults:
     """Return the results of the tests of a model.
 
@@ -404,10 +396,12 @@ def _test(rules: Selection, fit: Fit) -> _TestResults:
     white noise is not resolved, if processes imitate the filter, or if the filter explains the data
     as well as the fast processes.
     """
+    from scipy.special import chdtrc
+
     data = rules.data
     parts = list(_deviances(data, fit).values())
-    tails = [_tail(x, n) * len(parts) for x, n in parts]
-    tails.append(_tail(sum(x for x, _ in parts), sum(n for _, n in parts)))
+    tails = [chdtrc(n, x) * len(parts) for x, n in parts]
+    tails.append(chdtrc(sum(n for _, n in parts), sum(x for x, _ in parts)))
     s = fit.spectrum()
     nonzero = np.flatnonzero(fit.p != 0.0)
     component = FILTER if rules.signed else RANDOM_TERMS[Q]

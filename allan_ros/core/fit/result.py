@@ -21,7 +21,7 @@ from ..allan.curve import AllanCurve, AxisCurve
 from ..estimate import Estimate
 from ..fields import Signed
 from ..findings import Finding
-from ..noise import Model
+from ..noise import LETTERS, Model
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -30,7 +30,7 @@ Ints = NDArray[np.int64]
 Q, N, B, K = range(4)
 """Indices of `RANDOM_TERMS` in all arrays of variance coefficients (q, w, b, k)."""
 
-TERMS = ('Q', 'N', 'B', 'K', 'R')
+TERMS = tuple(LETTERS)
 """Quantization, angle or velocity random walk, bias instability, rate random walk, rate ramp."""
 
 

@@ -168,11 +168,14 @@ def fit_likelihood(sums: AllanSums, of_axes: Sequence[Statistics] = ()) -> Noise
     for a, (name, known) in enumerate(zip(sums.axes, of_axes)):
         candidates, daily = candidates_of[known], daily_cycle(known.longest, tau0)
         number = len(known.f) + sum(g.size.high for g in known.groups)
-        if number < LEAST_STATISTICS or _is_constant(sums, a):
+        is_constant = _is_constant(sums, a)
+        if number < LEAST_STATISTICS or is_constant:
             axes[name] = without_estimates()
-            is_constant = len(sums.count) > 0 and _is_constant(sums, a)
+            has_no_noise = is_constant and len(sums.count) > 0
             id, numbers = (
-                ('no_noise', {}) if is_constant else ('record_too_short', {'samples': sums.samples})
+                ('no_noise', {})
+                if has_no_noise
+                else ('record_too_short', {'samples': sums.samples})
             )
             findings.append(finding(id, (name,), **numbers))
             continue

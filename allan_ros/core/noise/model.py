@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import AllanError
+from ..estimate import Ends
 from .derived import avar, growth_variance
 from .process import Floats, Process
 from .registry import LETTERS, PROCESSES
@@ -29,9 +30,6 @@ BY_LETTER: Mapping[str, Process] = {
     one.letter: one() for one in PROCESSES.values() if one.letter and not one.parameters
 }
 """Letter of each of the five terms Q, N, B, K and R -> process of this term."""
-
-
-Interval = tuple[float, float]
 
 
 class Part(NamedTuple):
@@ -53,8 +51,8 @@ class Part(NamedTuple):
 
     process: Process
     value: float
-    ci95: Interval | None = None
-    shape_ci95: tuple[Interval, ...] = ()
+    ci95: Ends | None = None
+    shape_ci95: tuple[Ends, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)

@@ -362,7 +362,7 @@ class MotionGate:
         is_fault = levels.change == 'noise_decreased'
         shortest_s = FAULTY_S if is_fault else 0.0
         if levels.lasts_longer and levels.present.samples * self._period_s >= shortest_s:
-            self._levels.accept()
+            levels.accept()
         if not is_unchanged:
             if self._change_level():
                 return

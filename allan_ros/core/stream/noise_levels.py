@@ -124,7 +124,9 @@ class NoiseLevels:
 
     ``start`` returns a new level without samples. ``is_tried`` tells whether the present level is
     on trial, so that the sums of the other level are the result. ``change`` tells how the noise of
-    the present level differs from the noise of the other level.
+    the present level differs from the noise of the other level. ``largest_ratio`` and
+    ``smallest_ratio``, (axes,), are the extreme ratios of the noise at rest to the noise floor; 1
+    for an axis whose noise has not changed.
     """
 
     def __init__(self, start: Callable[[], NoiseLevel]) -> None:

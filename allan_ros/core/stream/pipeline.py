@@ -141,15 +141,17 @@ class ImuStream:
         the end of a fault of the first samples, and belong to the noise level that is the result.
         The result is empty unless ``with_samples`` was set.
         """
-        most_used = max(
-            self._frames.values(), key=lambda each: each.counts.used, default=self._present
-        )
-        kept = [(s.axes, joined(s.kept)) for s in most_used.sensors if s.kept]
+        kept = [(s.axes, joined(s.kept)) for s in self._most_used.sensors if s.kept]
         return {
             axis: (block.stamps_ns, row)
             for axes, block in kept
             for axis, row in zip(axes, block.rows)
         }
+
+    @property
+    def _most_used(self) -> FrameStream:
+        """The stream of the frame_id with the most data."""
+        return max(self._frames.values(), key=lambda f: f.counts.used, default=self._present)
 
     def drives(self) -> Drives:
         """Return the latest drives between two rests; empty unless ``with_drives`` was set.
@@ -159,10 +161,7 @@ class ImuStream:
         streams, or if motion detection is switched off. Before `end`, a drive is included when its
         second rest is over or long enough.
         """
-        most_used = max(
-            self._frames.values(), key=lambda each: each.counts.used, default=self._present
-        )
-        recorders = [s.recorder for s in most_used.sensors if s.recorder is not None]
+        recorders = [s.recorder for s in self._most_used.sensors if s.recorder is not None]
         if not recorders:
             return NO_DRIVES
         return recorders[0].result if self._ended else recorders[0].complete

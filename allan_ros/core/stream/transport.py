@@ -124,6 +124,7 @@ class Arrivals:
             self._origin_ns = int(stamps_ns[0])
         stamps = (stamps_ns - self._origin_ns) / NANOSECONDS
         latest = 0.0 if self._latest is None else self._latest[0]
+        # a step from the former stamp, or from the largest stamp so far, begins a new part
         former = np.append(latest, stamps[:-1])
         largest_step = np.maximum(
             np.abs(stamps - former), np.abs(stamps - np.maximum.accumulate(former))
@@ -134,7 +135,11 @@ class Arrivals:
                 self._add(stamps[part], received_s[part], lost)
 
     def _add(self, stamps: NDArray[np.float64], received_s: NDArray[np.float64], lost: int) -> None:
-        """Process messages with stamps in s, of which only the first can follow a step."""
+        """Process messages of which only the first can follow a step of the stamps.
+
+        The stamps and the times of reception are in s. ``lost`` is the number of messages that were
+        lost since the last call of `update`.
+        """
         first_stamp, last_received = float(stamps[0]), float(received_s[-1])
         latest_stamp = first_stamp if self._latest is None else self._latest[0]
         if first_stamp - latest_stamp > STEP_S:
@@ -360,7 +365,8 @@ class TransportMonitor:
         recent_counts = _increase_since(oldest_counts, counts)
         present_counts = _increase_since(earlier_counts[-1], counts)
         # A few samples are excluded before it is found that the clock was set back. They are not
-        # reported. If the clock was set back shortly before, more are excluded, and these are.
+        # reported. If the clock was set back shortly before, more are excluded, and the
+        # additional ones are reported.
         recent_counts['backward_stamps'] -= (BACKWARD_RUN - 1) * recent_counts['clock_jumps']
         findings = event_findings(recent_counts, health, LATELY)
         if recent_counts['stamps_leapt'] > 0:
