@@ -105,13 +105,13 @@ def floor(path: Path) -> int:
     """
     from zstandard import ZstdDecompressor
 
-    from allan_ros.readers.mcap import CHUNK, MAGIC, RECORD_HEAD
+    from allan_ros.readers.mcap import CHUNK, MCAP_MAGIC, RECORD_HEAD
 
     for database in path.glob('*.db3'):
         with sqlite3.connect(f'file:{database}?immutable=1', uri=True) as connection:
             query = 'SELECT count(*) FROM messages WHERE id > 0 AND length(data) > 0'
             return int(connection.execute(query).fetchone()[0])
-    decompress, at, size = ZstdDecompressor().decompress, len(MAGIC), 0
+    decompress, at, size = ZstdDecompressor().decompress, len(MCAP_MAGIC), 0
     (file,) = path.glob('*.mcap')
     with file.open('rb') as data:
         while data.seek(at) == at and len(head := data.read(RECORD_HEAD.size)) == RECORD_HEAD.size:
