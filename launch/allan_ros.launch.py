@@ -60,7 +60,7 @@ BOOLEANS |= {'false': False, 'no': False, 'off': False, '0': False}
 
 
 def boolean(given, name):
-    """Return the value of a launch argument as bool; raise RuntimeError if it is no boolean."""
+    """Return the value of a launch argument as bool; raise RuntimeError for other text."""
     text = given[name].strip().lower()
     if text not in BOOLEANS:
         raise RuntimeError(f'{name}:={given[name]} is not a boolean: give true or false')

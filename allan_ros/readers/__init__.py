@@ -76,7 +76,8 @@ SUFFIXES = tuple(suffix for form in FORMATS.values() for suffix in form.suffixes
 def open_recording(path: str | os.PathLike[str], options: ReadOptions = ReadOptions()) -> Recording:
     """Open the recording at a path: a file, or a folder that contains a bag.
 
-    Raises AllanError when the recording cannot be opened.
+    Raises AllanError when the recording cannot be opened, or when the options select a topic and
+    the format has no topics, or a second topic and the recording is not a bag.
     """
     place = Path(path)
     if place.name == METADATA:

@@ -229,7 +229,8 @@ def recording_in_memory(
     options : ReadOptions
         If the options contain a rate, the times are computed from the rate. Otherwise the times
         are a column such as ``t`` or ``time``, or the index of a DataFrame, if the index consists
-        of dates or durations. The units in the options apply to columns whose names state no unit.
+        of dates or durations. The units of samples in the options apply to columns whose names
+        state no unit. The unit of times in the options applies whatever the name states.
     axes : sequence of str or str, optional
         Names of the axes, or 'gyro' or 'accel' for three axes. By default, an array with six
         columns contains gyro x, y, z and accel x, y, z, an array with three columns contains gyro
@@ -321,12 +322,12 @@ def _numbers(samples: Any) -> NDArray[np.float64]:
     return values
 
 
-def _axis_names(axes: str | Sequence[str] | None, columns: int = 0) -> tuple[str, ...]:
+def _axis_names(axes: str | Sequence[str] | None, columns: int | None = None) -> tuple[str, ...]:
     """Return the names of the axes of an array with ``columns`` columns.
 
-    If ``columns`` is 0, any number of names is accepted. Raises AllanError when a name is unknown
-    or occurs twice, when the numbers of names and columns differ, or when ``axes`` is None and
-    there are no default names for this number of columns.
+    If ``columns`` is None, any number of names is accepted. Raises AllanError when a name is
+    unknown or occurs twice, when the numbers of names and columns differ, or when ``axes`` is None
+    and there are no default names for this number of columns.
     """
     if axes is None:
         if columns not in DEFAULT_AXES:
@@ -340,7 +341,7 @@ def _axis_names(axes: str | Sequence[str] | None, columns: int = 0) -> tuple[str
     for name in names:
         if name not in AXES:
             raise AllanError(f'axis {name!r} is unknown: choose from {", ".join(AXES)}')
-    columns = columns or len(names)
+    columns = len(names) if columns is None else columns
     if len(set(names)) < len(names) or len(names) != columns:
         raise AllanError(
             f'{columns} columns, but {len(names)} axes ({", ".join(names)}): name one axis per '

@@ -55,7 +55,7 @@ class Survey:
     topics: dict[TopicKey, Topic] = field(default_factory=dict)
     counts: Counter[TopicKey] = field(default_factory=Counter)
     # truncation of the first truncated file; None if no file is truncated, or metadata.yaml states
-    # the numbers of messages
+    # Imu messages
     truncation: Truncation | None = None
 
     def listed(self, keys: Iterable[TopicKey]) -> str:

@@ -82,7 +82,9 @@ class DecodedImus:
     """The content of n Imu messages."""
 
     stamps_ns: NDArray[np.int64]  # (n,), header stamps in ns
-    samples: NDArray[np.float64]  # (n, 6), in SI, in the order of `AXES`; NaN: sensor is absent
+    # (n, 6), in the order of `AXES` and the units of the messages, normally SI; NaN for an absent
+    # sensor
+    samples: NDArray[np.float64]
     frame_ids: list[str]  # the distinct frame_ids
     frames: NDArray[np.intp]  # (n,), index of the frame_id of each message
     # sensor -> number of messages that declare the sensor absent, but contain valid data of the
@@ -145,11 +147,12 @@ def decode_imus(
     payloads: Sequence[bytes | memoryview] | NDArray[np.void],
     encoding: Encoding,
 ) -> DecodedImus:
-    """Decode n serialized Imu messages to stamps in ns, (n,), and samples in SI, (n, 6).
+    """Decode n serialized Imu messages to stamps in ns, (n,), and samples, (n, 6).
 
-    If covariance[0] of a sensor is -1 or NaN in a message, and its data are all zero or not all
-    finite, the samples of this sensor are NaN. Raises MalformedMessage for the first payload that
-    cannot be an Imu message, because of its first bytes, its length or the length of its frame_id.
+    The samples have the units of the messages, normally SI. If covariance[0] of a sensor is -1 or
+    NaN in a message, and the data of this sensor are all zero or not all finite, its samples are
+    NaN. Raises MalformedMessage for the first payload that cannot be an Imu message, because of its
+    first bytes, its length or the length of its frame_id.
     """
     n = len(payloads)
     samples = np.empty((len(AXES), n)).T
@@ -283,18 +286,26 @@ def encode_imus(batch: ImuBatch, encoding: Encoding, order: str = '<') -> list[m
     Parameters
     ----------
     batch : ImuBatch
-        The samples.
+        The samples, (n, 6).
     encoding : 'cdr' or 'ros1'
         Serialization of the messages.
     order : '<' or '>'
         Byte order.
+
+    Raises
+    ------
+    OverflowError
+        When the seconds of a stamp do not fit into 32 bits (before 1901 or after 2038).
     """
     frame = batch.frame_id.encode() + (b'\0' if encoding == 'cdr' else b'')
     dtype = imu_dtype(encoding, order, len(frame))
     records = np.zeros(len(batch), dtype)
     if encoding == 'cdr':
         records['representation'] = LITTLE_ENDIAN if order == '<' else BIG_ENDIAN
-    records['sec'], records['nanosec'] = np.divmod(batch.stamps_ns, NANOSECONDS)
+    seconds, records['nanosec'] = np.divmod(batch.stamps_ns, NANOSECONDS)
+    records['sec'] = seconds
+    if (records['sec'] != seconds).any():
+        raise OverflowError('a stamp does not fit into a message: it has more than 32-bit seconds')
     records['frame_bytes'] = len(frame)
     records['frame_id'] = np.void(frame)
     records['orientation'][:, 3] = 1.0

@@ -96,7 +96,7 @@ _SPELLINGS = {
     **dict.fromkeys(('record', 'stamp', 'time'), TIME_SPELLINGS),
     'temperature': TEMPERATURE_SPELLINGS,
 }
-"""Kind of a column -> spellings of the units that such a column can have."""
+"""Kind of a column -> spellings of the units that its name can state."""
 
 RECOGNIZED_UNITS = ('s', 'ms', 'us', 'ns')
 """Units of time that are recognized from the stamps."""
@@ -178,8 +178,9 @@ class ColumnLayout:
         Raises
         ------
         AllanError
-            When the options state no unit, and the unit in the name is unknown or contradicts at
-            least `ENOUGH` stamps since 1970.
+            When the options state no unit, and the unit in the name is unknown, or is so small that
+            the sample period would be implausible. The period is judged only if there are at least
+            `ENOUGH` stamps and they are times since 1970 in another unit.
         """
         if len(self.stamp) != 1 or not len(times):
             return self
@@ -257,7 +258,8 @@ def columns_of(where: object, names: Iterable[str], options: ReadOptions) -> Col
         Name of the table in error messages.
     names : iterable of str
         Names of the columns. If several columns contain times, `_STAMPS` states which of them are
-        used; of several columns of one kind, the first is used.
+        used. Of several columns with the same kind of time, or with a temperature in a known unit,
+        the first is used.
     options : ReadOptions
         Units for columns whose names state no unit, and raw counts per unit of the samples.
 

@@ -145,8 +145,9 @@ def write_together(
     Raises
     ------
     AllanError
-        When a path is not a regular file, the folder is missing or not writable, or the disk is
-        full. An error before the first file is removed or replaced leaves all files unchanged.
+        When a path is a folder, FIFO, device or socket, ``folder`` is missing or not writable, or
+        the disk is full. An error before the first file is removed or replaced leaves all files
+        unchanged.
     """
     drafts: dict[Path, Path] = {}
     path = folder

@@ -135,7 +135,11 @@ class ReadOptions(CheckedSettings):
 
 @dataclass(frozen=True)
 class SourceInfo:
-    """Source of samples: path, topic ('' if there is none), message type and storage format."""
+    """Source of samples: path, topic, type and storage format, as a report states them.
+
+    ``topic`` is the name of an array in a ``.npz`` file, and '' if there is none. ``type`` is the
+    message type in a bag or log, or 'array' or 'table'.
+    """
 
     path: str
     topic: str
@@ -212,7 +216,7 @@ class Recording:
 
     @property
     def sensor(self) -> str:
-        """The only sensor that the recording can contain, 'gyro' or 'accel'; '' for both."""
+        """The only sensor in `axes`, 'gyro' or 'accel'; '' if there are axes of both sensors."""
         first_sensor, *other_sensors = dict.fromkeys(map(sensor_of, self.axes))
         return '' if other_sensors else first_sensor
 

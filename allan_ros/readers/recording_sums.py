@@ -132,8 +132,8 @@ class RecordingSums:
         """Return the times in ns, (n,), and values in degC, (n,), of the kept temperature readings.
 
         The readings are sorted by time. The times of the readings of a recording are header stamps
-        if at least two of these stamps lie between the first and the last used sample of all
-        recordings together. Otherwise, the times are record times.
+        if at least two of these stamps lie between the start of the first and the end of the last
+        listed segment of all recordings. Otherwise, the times are record times.
         """
         segments = self.provenance.segments
         begin = min((s.start_ns for s in segments), default=0)
@@ -161,7 +161,8 @@ class RecordingSums:
 class ReadJob:
     """The path of a recording and the settings for reading it, which can be sent to a process.
 
-    ``with_context`` requests the data for a report: signals and events.
+    ``with_context`` requests the data for a report: signals and events. Raises AllanError when
+    ``hardware_id`` has more than `MAX_NAME` characters.
     """
 
     path: str
@@ -178,10 +179,7 @@ class ReadJob:
             )
 
     def open(self) -> Recording:
-        """Open the recording; of a bag or table, at most the first rows of samples are read yet.
-
-        Raises AllanError when the recording cannot be opened.
-        """
+        """Open the recording; raise AllanError when this is impossible."""
         return open_recording(self.path, self.reading)
 
 
@@ -347,7 +345,10 @@ class Silent(Observer):
 
 
 def read_in_turn(jobs: Sequence[ReadJob], observer: Observer = Silent()) -> Iterator[RecordingSums]:
-    """Read recordings one after the other in this process, and yield their Allan sums."""
+    """Read recordings one after the other in this process, and yield their Allan sums.
+
+    Raises AllanError when a recording cannot be read, or contains no static data.
+    """
     # All recordings are opened before the first is read, so that a wrong path is reported at once.
     recordings: list[Recording] = []
     for job in jobs:
@@ -377,7 +378,7 @@ def read_in_processes(
     Raises
     ------
     AllanError
-        When a recording cannot be read, or when a process dies.
+        When a recording cannot be read or contains no static data, or when a process dies.
     """
     from concurrent.futures import ProcessPoolExecutor
     from concurrent.futures.process import BrokenProcessPool

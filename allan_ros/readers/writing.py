@@ -3,8 +3,8 @@
 """Write samples as a recording: an mcap bag (a folder), or a file .mcap, .db3, .csv, .tsv or .npz.
 
 The package ``rosbags`` writes bags. A recording is written to a temporary folder next to its path,
-and renamed when it is complete. All formats store stamps and samples without loss of precision, so
-reading returns exactly the same numbers.
+and renamed when it is complete. All formats store header stamps and samples without loss of
+precision, so reading returns exactly the same numbers.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ def write_recording(
     path : path
         A file .mcap, .db3, .csv, .tsv or .npz; otherwise the folder of an mcap bag.
     batches : iterable of ImuBatch
-        The samples in the order of time, all with the same frame_id.
+        The samples, (n, 6), in the order of time, all with the same frame_id.
     topic : str
         Topic name in a bag.
     overwrite : bool
@@ -57,8 +57,8 @@ def write_recording(
     ------
     AllanError
         When the path exists and ``overwrite`` is not set, when it is a folder that is not a bag,
-        when it cannot be written or is a .bag file, or when a bag is to be written and the package
-        ``rosbags`` is missing.
+        when it cannot be written or is a .bag file, or when a bag is to be written and a stamp does
+        not fit into a message or the package ``rosbags`` is missing.
     """
     path = Path(path)
     suffix = path.suffix.lower()

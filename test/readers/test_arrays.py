@@ -115,6 +115,11 @@ def test_duplicate_columns_are_rejected() -> None:
         arrays.recording_in_memory(frame, ReadOptions())
 
 
+def test_an_array_without_columns_is_rejected() -> None:
+    with pytest.raises(AllanError, match='0 columns, but 3 axes'):
+        arrays.recording_in_memory(np.zeros((5, 0)), ReadOptions(rate_hz=100.0), 'gyro')
+
+
 def with_time(value: float) -> np.ndarray:
     """Return the samples with one invalid time."""
     spoiled = IMU.copy()

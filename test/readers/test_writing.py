@@ -116,6 +116,9 @@ def test_what_cannot_be_written_is_one_line(
         write_recording(tmp_path / 'run.bag', imu_batches(10))
     with pytest.raises(AllanError, match='choose a path without'):
         write_recording(tmp_path / 'run?a=1.db3', imu_batches(10))
+    stamp_of_2065 = np.array([3_000_000_000_000_000_000])
+    with pytest.raises(AllanError, match='a stamp does not fit into a message'):
+        write_recording(tmp_path / 'run', [ImuBatch(stamp_of_2065, np.zeros((1, 6)))])
     monkeypatch.setitem(sys.modules, 'rosbags.rosbag2', None)
     with pytest.raises(AllanError, match="needs the Python package 'rosbags': \"pip install ros"):
         write_recording(tmp_path / 'run', imu_batches(10))
