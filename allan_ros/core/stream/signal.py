@@ -40,8 +40,8 @@ class SignalEnvelope:
     """Range, mean and noise of every axis in bins of equal sample count, in constant memory.
 
     The last bin may have fewer samples. Except for rounding errors, the result does not depend on
-    the size of the batches. NaN and values above `LARGEST` are ignored; the range of a bin without
-    other values is NaN.
+    the size of the batches. NaN and values of a magnitude above `LARGEST` are ignored; the range of
+    a bin without other values is NaN.
     """
 
     def __init__(self) -> None:
@@ -71,7 +71,7 @@ class SignalEnvelope:
         joined = deepcopy(self)
         accel = slice(len(AXES) // 2, None)
         # the bins of the other topic that cover the time of a bin are joined
-        starts = np.searchsorted(other.start_ns[1:], self.start_ns).clip(max=other.bins - 1)
+        starts = np.searchsorted(other.start_ns[1:], self.start_ns, side='right')
         starts[:1] = 0
         for name, join in BIN_STATISTICS.items():
             values = other._bins[name][: other.bins, accel]
@@ -86,7 +86,7 @@ class SignalEnvelope:
     def statistics(self, step: int = 1) -> dict[str, Floats]:
         """Return name -> statistic of each group of ``step`` bins, (groups, 6), in SI.
 
-        `BIN_STATISTICS` lists the names of the statistics.
+        The last group may have fewer bins. `BIN_STATISTICS` lists the names of the statistics.
         """
         starts = np.arange(0, self.bins, step)
         return {
@@ -248,9 +248,10 @@ class SignalSummary:
     high: Floats  # (bins, 6) highest sample in SI; NaN where `low` is NaN
     mean: Floats  # (bins, 6) mean of the samples in SI
 
-    # (bins, 6) standard deviation of the differences of successive samples / sqrt(2), in SI
+    # (bins, 6) root mean square of the differences of successive samples / sqrt(2), in SI
     noise: Floats
-    # (bins,) whether all samples of the bin are used; True in a recording without used samples
+    # (bins,) whether no sample of the bin is excluded or replaced; True in a recording without used
+    # samples
     used: Flags
     middle: Floats  # (6,) median over the bins of (low + high) / 2, in SI
     excluded: tuple[Excluded, ...]
@@ -280,12 +281,12 @@ def summarize_signal(
     events: Sequence[Event] = (),
     temperatures: Sequence[TemperatureTrace | None] = (),
 ) -> SignalSummary | None:
-    """Return the summary of all recordings in about ``bins`` bins.
+    """Return the summary of all recordings in about ``bins`` bins, or in fewer if there are fewer.
 
     ``signals`` are the signals of the recordings. ``temperatures`` contains the temperature or None
     for each recording. ``segments`` are the used parts of all recordings. ``events`` are the shocks
-    in these parts, and the reasons why other parts are not used. Returns None if no recording has
-    two bins.
+    in these parts, and the reasons why other parts are not used. Recordings with fewer than two
+    bins are omitted. Returns None if no recording is left.
     """
     temperatures = temperatures or [None] * len(signals)
     recordings = [(s, t) for s, t in zip(signals, temperatures) if s.bins > 1]
@@ -295,7 +296,10 @@ def summarize_signal(
     parts: list[SignalSummary] = []
     offset = 0.0
     for signal, trace in recordings:
-        part, length = _recording(signal, trace, segments, step, events, offset)
+        # a short recording gets two groups of bins, because one group has no length
+        part, length = _recording(
+            signal, trace, segments, min(step, signal.bins // 2), events, offset
+        )
         parts.append(part)
         offset += length
     joined: dict[str, Any] = {
@@ -322,7 +326,7 @@ def _recording(
     events: Sequence[Event],
     offset: float,
 ) -> tuple[SignalSummary, float]:
-    """Return the summary of one recording that begins at ``offset``, and its length in s."""
+    """Return the summary of one recording that begins at ``offset`` in s, and its length in s."""
     starts = np.arange(0, signal.bins, step)  # index of the first bin of each group of bins
     times = signal.time_s[starts]
     statistics = signal.statistics(step)
@@ -333,7 +337,7 @@ def _recording(
     steps = np.diff(times)
     median_step = float(np.median(steps))
     length = float(times[-1] + median_step)
-    # all bins have the same number of samples, so that a much longer bin contains a gap
+    # all bins have the same number of samples, so a much longer bin contains a gap
     gap_bins = np.flatnonzero(steps > GAP_BINS * median_step)
     gaps = [(float(times[i] + median_step), float(times[i + 1])) for i in gap_bins]
     first_ns = int(signal.start_ns[0])

@@ -34,41 +34,42 @@ LEARN_S, LEAST_LEARN, LEARN = 11.0, 256, 1024
 At 93 Hz and above, the largest number is used."""
 
 CLOCK_BLOCK = 256
-"""Number of samples in a block. Unless stamps are bursty, a change of the rate is searched for in
-each block."""
+"""Number of samples in a block. Unless stamps are bursty, the blocks are searched for a change of
+the rate."""
 
 LOOK_AHEAD = 64
-"""Number of samples before and after a pause whose delays are compared if stamps are regular."""
+"""Largest number of samples on each side of a pause whose delays are compared, unless stamps are
+bursty."""
 
 BURST_LOOK_AHEAD_S, BURST_LOOK_AHEAD = 4.0, 1 << 18
-"""Time in s, and largest number of samples, before and after a pause whose delays are compared if
-stamps are bursty. The largest number is reached at 65 kHz (15 MB)."""
+"""Time in s, and largest number of samples, on each side of a pause whose delays are compared if
+stamps are bursty. The largest number is reached at 65 kHz."""
 
 BURST_PAUSE_S = 0.25
-"""If stamps are bursty, samples may have been lost only in a pause of at least this time in s that
-increases the smallest delay by at least this time. Smaller increases occur without a loss, because
-the smallest delay of bursty stamps varies by several samples."""
+"""If stamps are bursty, samples count as lost only in a pause of more than this time in s that
+increases the smallest delay by more than this time. Smaller increases occur without a loss, because
+the smallest delay of bursty stamps varies by several sample periods."""
 
 LATE = 1.5
-"""If stamps are regular, a step longer than this many periods is a pause."""
+"""Unless stamps are bursty, a step longer than this many periods is a pause."""
 
 REGULAR_SHARE = 0.6
-"""Stamps are regular if this share of the steps lies within 50 % of the median step, and if the
-mean of these steps is at least this share of the mean of all steps."""
+"""Stamps are regular if at least this share of the steps is within 50 % of the median step, and if
+the mean of these steps is at least this share of the mean step of the stream."""
 
 POLLED_SHARE = 0.95
-"""Polled samples are evenly spaced on average if this share of the steps between their stamps is
-between 0.4 and 2.2 times the mean step."""
+"""Polled samples are evenly spaced on average if at least this share of the steps between their
+stamps is between 0.4 and 2.2 times the mean step."""
 
 FEWEST_STEPS = 8
-"""A period is learned from the first stamps if at least this number of their steps are above 0. If
-fewer steps are above 0, in long bursts of equal stamps, the period depends on where the last burst
-begins."""
+"""A period is learned from the first stamps if at least this number of their steps are above 0, or
+all of fewer steps. In long bursts of equal stamps, fewer steps are above 0, and the period would
+depend on where the last burst begins."""
 
 EVEN_SHARE, EVEN = 0.9, 0.15
 """Stamps have evenly spaced runs if at least the first share of the steps differs from the median
-step by at most the second fraction of the median step, and if almost all other steps (see
-`POLLED_SHARE`) are longer than `LATE` median steps."""
+step by at most the second fraction of the median step, and if at least two steps are longer than
+`LATE` median steps. At most 1 - `POLLED_SHARE` of the steps may be of neither kind."""
 
 UNEVEN = 2.0
 """For each run of evenly spaced stamps, the mean step over the run and the pause before the run is
@@ -76,20 +77,20 @@ computed. If these mean steps differ by more than this factor, the samples are n
 samples have the same mean step in each burst."""
 
 DECLARED_RANGE = 0.25
-"""The declared rate is used for bursty stamps if the mean rate differs from it by less than this
-fraction."""
+"""The declared rate is used for bursty stamps if the mean step differs from the declared period by
+less than this fraction of the declared period."""
 
 MANY, EXACT = 0.2, 0.15
 """Samples are missing regularly if at least the first share of the steps is one sample period, and
-at least the same share is a larger multiple of the period. The steps may deviate from the
-multiples by at most the second fraction of a period."""
+at least the same share is a larger multiple of the period. At least `POLLED_SHARE` of the steps
+must deviate from a multiple by at most the second fraction of a period."""
 
 JITTER_SHARE = 0.01
 """Stamps have jitter if more than this share of the steps is shorter than half the period."""
 
 PERIOD_RANGE, PERIOD_TRACKING = 0.05, 0.003
-"""Largest relative change of the period by `rayleigh_period` when the period is learned, and when
-it is updated."""
+"""Largest relative change of the sample rate by `rayleigh_period` when the period is learned, and
+when the period is updated."""
 
 PHASE_GAP = 16.0
 """Longest pause, in periods, after which the phase of the samples is assumed to continue."""
@@ -103,9 +104,9 @@ the last stamp by this value."""
 class Clock:
     """Sample period of a stream, typical step between its stamps, and quality of the stamps.
 
-    ``step_ns`` is in most cases the median step of the first stamps. Stamps are ``bursty`` if many
-    of them are almost equal. They have ``jitter`` if they scatter so much that the loss of a single
-    sample may look like scatter.
+    ``step_ns`` is in most cases the median step of the first stamps. Stamps are ``bursty`` if their
+    steps are too uneven to be regular (`REGULAR_SHARE`), as when samples arrive together. Stamps
+    have ``jitter`` if they scatter so much that the loss of a single sample may look like scatter.
     """
 
     period_ns: float
@@ -117,7 +118,7 @@ class Clock:
 
     @property
     def look_ahead(self) -> int:
-        """Number of samples on each side of a pause whose delays are compared to detect a loss."""
+        """Largest number of samples on each side of a pause whose delays are compared."""
         if not self.bursty:
             return LOOK_AHEAD
         samples = BURST_LOOK_AHEAD_S * 1e9 / self.period_ns
@@ -131,7 +132,7 @@ class Clock:
 
     @property
     def smallest_loss(self) -> float:
-        """Increase of the smallest delay after a pause, in periods, that indicates lost samples."""
+        """Increase of the smallest delay in a pause, in periods, up to which no sample is lost."""
         return max(0.5, BURST_PAUSE_S * 1e9 / self.period_ns) if self.bursty else 0.5
 
 
@@ -154,14 +155,17 @@ def learn_clock(stamps: Stamps, polled: bool = False, declared: float = 0.0) -> 
 
     Backward stamps are ignored. If ``polled`` is set, the messages repeat the samples of a slower
     sensor, and ``stamps`` are the stamps of the messages with a new sample. The steps between these
-    stamps are multiples of the period of the messages, and the mean step is the sample period.
-    If samples are missing so regularly that the shortest step is not the period, the shortest step
-    is stored in ``base_ns``, or used as the period if it agrees with the ``declared`` rate in Hz.
-    Returns None if there are too few different stamps.
+    stamps are multiples of the period of the messages. If these steps are uneven, but even on
+    average (`POLLED_SHARE`), the mean step is the sample period.
+
+    If samples of a sensor that is not polled are missing so regularly that the shortest step is not
+    the period, the shortest step is stored in ``base_ns``, or used as the period if it agrees with
+    the ``declared`` rate in Hz. Returns None if too few stamps differ (`FEWEST_STEPS`).
     """
     if not has_time(stamps):
         return None
-    step = np.diff(stamps[stamps >= np.maximum.accumulate(stamps)]).astype(float)
+    stamps = stamps[stamps >= np.maximum.accumulate(stamps)]
+    step = np.diff(stamps).astype(float)
     clock = _clock_of(step, stamps, polled, declared)
     base = 0.0 if polled else _common_step(step)
     if not base or abs(base / clock.period_ns - 1.0) < RATE_CHANGE:
@@ -215,10 +219,10 @@ def _common_step(step: Floats) -> float:
 
 
 def _clock_of(step: Floats, stamps: Stamps, polled: bool, declared: float) -> Clock:
-    """Estimate the sample period from the ``step`` between the stamps in ns, (n - 1,).
+    """Estimate the sample period from ``stamps``, (n,), and ``step`` between them, (n - 1,), in ns.
 
-    The ``declared`` rate in Hz, or 0 if unknown, decides whether samples are late or lost, and is
-    used for bursty stamps.
+    The ``declared`` rate in Hz, or 0 if unknown, helps to decide whether samples are late or lost,
+    and is used for bursty stamps.
     """
     size = max(1, min(CLOCK_BLOCK, len(step) // 4))
     # one long gap does not change the median of the means over groups of steps
@@ -251,9 +255,10 @@ def rayleigh_period(stamps: Stamps, period: float, relative_range: float) -> flo
     """Return the sample period in ns, near ``period``, that fits stamps with jitter best.
 
     ``stamps``, (n,), are in ns. The result maximizes the Rayleigh statistic of the phases of the
-    stamps t, |sum exp(2 pi i t / p)|, over periods p for which 1/p differs from 1/``period`` by at
-    most the fraction ``relative_range`` (K. V. Mardia, P. E. Jupp, Directional Statistics, 2000,
-    section 6.3). Lost samples do not move the maximum.
+    stamps t, |sum exp(2 pi i t / p)|, over a grid of periods p for which 1/p differs from
+    1/``period`` by at most the fraction ``relative_range`` (K. V. Mardia, P. E. Jupp, Directional
+    Statistics, 2000, section 6.3). Lost samples do not move the maximum. A step of more than
+    `PHASE_GAP` periods counts as one period.
     """
     step = np.diff(stamps) / period
     times = np.cumsum(np.where(step > PHASE_GAP, 1.0, step))
@@ -315,8 +320,8 @@ class SampleClock:
 
         # whether the mean step of the last block differed from the period of the clock
         self._other_period = False
-        # stamps since the last update of the period, or None after a gap; without jitter, only the
-        # first and the last stamp of each batch
+        # stamps since the last update of the period, or None after the data were split; without
+        # jitter, only the first and the last stamp of each call of `_track`
         self._tracked: list[Stamps] | None = None
         self._tracked_steps = 0  # sum of the index steps between the tracked stamps
 
@@ -336,7 +341,7 @@ class SampleClock:
         return self._process_ready(self._reach)
 
     def flush(self) -> list[ImuBatch]:
-        """Return the blocks of all buffered samples, up to a change of the rate, at the end."""
+        """Return the pending samples as blocks at the end of the input, or up to a new rate."""
         while self.clock is None and (number_buffered := len(self._samples)):
             self._learn(learned_from(self._samples.stamps_ns) or number_buffered)
         return self._process_ready(0)
@@ -355,7 +360,8 @@ class SampleClock:
         else:
             first_rows = self._samples.rows[:, :number]
             self.is_interleaved = not self._polled and are_interleaved(first_rows)
-            if self.is_interleaved:  # with jitter set, the end of the second IMU is found sooner
+            if self.is_interleaved:
+                # with jitter instead of bursts, the end of the second IMU is found sooner
                 period_ns = self.clock.period_ns
                 self.clock = replace(self.clock, step_ns=period_ns, bursty=False, jitter=True)
             self.learned_ns, self._reach = self.clock.period_ns, self.clock.look_ahead
@@ -479,7 +485,7 @@ class SampleClock:
         if begin == 0:
             return 0
         steps = np.concatenate([self._steps, steps])[-self._reach :]
-        # index of each sample after the last gap
+        # index of each sample since the data were last split
         index = np.cumsum(steps[int(np.argmax(np.cumsum(steps == 0))) :])
         stamps = self._samples.stamps_ns
         stamps_after = stamps[begin : begin + self._reach]
@@ -516,7 +522,7 @@ class SampleClock:
         return [joined(parts) for parts in groups]
 
     def _interpolated(self, position: int, step: int) -> ImuBatch:
-        """Return the step - 1 samples lost before the sample at buffer ``position``."""
+        """Return step - 1 interpolated samples before the sample at buffer ``position``."""
         fraction = np.arange(1, step) / step
         first, last = self._samples.stamps_ns[position - 1 : position + 1]
         stamps = first + np.rint(fraction * (last - first)).astype(np.int64)
@@ -528,7 +534,10 @@ class SampleClock:
         return ImuBatch.of_rows(stamps, rows, filled=np.ones(rows.shape, np.int32))
 
     def _track(self, stamps: Stamps, steps: Ints, clock: Clock) -> None:
-        """Update the sample period after `TRACK_BLOCKS` blocks in which the data were not split."""
+        """Update the period after each `TRACK_BLOCKS` blocks in which the data were not split.
+
+        A large change of the period of bursty stamps is a change of the rate.
+        """
         if self._blocks % TRACK_BLOCKS == 0:
             self._tracked, self._tracked_steps = [], -int(steps[0])
         self._blocks += -(-len(stamps) // CLOCK_BLOCK)

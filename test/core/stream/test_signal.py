@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from allan_ros.core.imu import ImuBatch
-from allan_ros.core.stream.signal import MAX_BINS, SignalEnvelope
+from allan_ros.core.stream.signal import MAX_BINS, SignalEnvelope, summarize_signal
 
 
 def batch_of(samples: np.ndarray, period_ns: int = 10_000_000) -> ImuBatch:
@@ -68,3 +68,22 @@ def test_constant_stamps_are_replaced_by_record_times() -> None:
     envelope = SignalEnvelope()
     envelope.update(ImuBatch(np.zeros(n, np.int64), np.zeros((n, 6)), record))
     assert envelope.time_s[-1] == 99.0
+
+
+def test_the_accelerometer_of_another_topic_with_equal_stamps_keeps_its_bins() -> None:
+    samples = np.random.default_rng(0).normal(size=(2 * MAX_BINS + 10, 6))
+    gyro, accel = envelope_of(batch_of(samples), 999), envelope_of(batch_of(2.0 * samples), 999)
+    joined, alone = gyro.with_accel(accel).statistics(), accel.statistics()
+    for name in ('low', 'high', 'total', 'count'):
+        assert np.array_equal(joined[name][:, 3:], alone[name][:, 3:]), name
+
+
+@pytest.mark.parametrize('n', [2, 3, 7])
+def test_a_short_recording_between_long_recordings_keeps_the_common_time_axis(n: int) -> None:
+    numbers = [4 * MAX_BINS, n, 4 * MAX_BINS]
+    signals = [envelope_of(batch_of(np.ones((number, 6))), 4096) for number in numbers]
+    summary = summarize_signal(signals, [], 100)
+    assert summary is not None and len(summary.starts) == 3
+    assert (np.diff(summary.time_s) > 0.0).all()
+    # a recording is at most as long as its samples and an incomplete group of bins
+    assert summary.starts[2] - summary.starts[1] <= 1.5 * n * 0.01 + 1e-9

@@ -58,6 +58,14 @@ def test_rate_is_found_from_the_stamps(stamps, rate, bursty):
     assert 1e9 / clock.period_ns == pytest.approx(rate, rel=0.05 if bursty else 0.01)
 
 
+def test_stamps_before_an_earlier_stamp_do_not_change_the_period_of_stamps_with_jitter():
+    stamps = np.sort(even(1024) + np.random.default_rng(0).integers(-4 * MS, 4 * MS, 1024))
+    stamps[500:] -= 100 * 10**9
+    clock = learn_clock(stamps)
+    assert clock.jitter
+    assert clock.period_ns == pytest.approx(10 * MS, rel=1e-3)
+
+
 def runs(n, pause_s, size=100, period_ns=10 * MS):
     """Return even stamps in runs of ``size`` samples, with pauses between them."""
     pauses = np.cumsum(np.resize(np.asarray(pause_s, float), n // size + 1))
