@@ -49,8 +49,8 @@ MOST_CONTRASTS = 96
 """Largest number of contrasts of the block means; octave spectra describe higher frequencies."""
 
 NEAR_OCTAVES = 4
-"""Number of octave spectra that are used in addition to the contrasts: the octaves directly above
-the frequencies of the contrasts."""
+"""Largest number of octave spectra that are used in addition to the contrasts: the octaves directly
+above the frequencies of the contrasts."""
 
 LEAST_MEANS = 24
 """Fewest block means of a segment in which a settling and steps are searched for."""
@@ -75,7 +75,8 @@ class SegmentStatistics:
     lowest : int
         Smallest index of an octave that is used; smaller indices have higher frequencies.
     components : tuple of Process
-        Processes of the noise: the random terms, and a daily cycle if the segment is long.
+        Processes of the noise: the random terms, and a daily cycle if the segment lasts more than
+        18 h.
     """
 
     means: BlockMeans
@@ -88,10 +89,10 @@ class SegmentStatistics:
     def of(
         cls, known: Statistics, means: BlockMeans | None, tau0: float
     ) -> SegmentStatistics | None:
-        """Return a segment from the statistics of all data and the block means of the segment.
+        """Return the statistics of a segment, given its block means and the statistics of all data.
 
-        ``tau0`` is the sample period in s. The result is None if there are no block means, or if
-        the segment is too short for a test.
+        ``tau0`` is the sample period in s. The result is None if ``means`` is None, or if the
+        segment has fewer than `LEAST_MEANS` block means or is shorter than `LEAST_TESTED_S`.
         """
         if means is None or len(means.values) < LEAST_MEANS:
             return None
@@ -132,7 +133,7 @@ class SegmentStatistics:
         return np.asarray(contrasts(group.size)[:, 1:].T @ shapes)
 
     def axis(self, axis: int) -> AxisSegment | None:
-        """Return one axis of the segment; None if it has no noise or cannot be fitted."""
+        """Return one axis of the segment; None if the axis has no noise or cannot be fitted."""
         z = self.known.groups[0].sums[axis]
         data = AxisData.of(self.known, axis)
         data = replace(data, used=self.known.octave >= self.lowest)
@@ -151,7 +152,8 @@ class AxisSegment:
 
     data: AxisData
     columns: Columns
-    # contrasts of the block means except the line in time, in units of the fit, (contrasts,)
+    # contrasts of the block means except the line in time, divided by the square root of
+    # `AxisData.scale`, (contrasts,)
     z: Floats
     fit: Fit
 
@@ -204,7 +206,10 @@ class AxisSegment:
         return FittedEffects(sizes * scale, fit, self.fit.value - fit.value)
 
     def deviation(self, fit: Fit, m: float) -> float:
-        """Return the Allan deviation of the terms of a fit at the averaging factor m, in SI."""
+        """Return the Allan deviation of the random terms of a fit at the averaging factor m, in SI.
+
+        An averaging factor below 1 counts as 1.
+        """
         variance = sum(p * float(avar(c, max(m, 1.0))) for p, c in zip(fit.p, RANDOM_TERMS))
         return math.sqrt(variance * self.data.scale)
 
@@ -233,16 +238,17 @@ REFINEMENTS = 4
 values on a logarithmic scale."""
 
 PROMISING_SETTLING = 5.0
-"""Least score (approximate gain) of a settling, summed over the axes, for which the noise is fitted
-again. It is below `GAIN_SETTLING`, because a score is computed with the noise of a fit without the
-settling. If there is a settling, this noise is too large, and the score is too small."""
+"""Least score (approximate gain) of a settling, summed over the axes. If no trial value of the time
+constant reaches this score, the noise is not fitted again. The number is below `GAIN_SETTLING`,
+because a score is computed with the noise of a fit without the settling. If there is a settling,
+this noise is too large, and the score is too small."""
 
 LEAST_SEGMENT = 0.3
 """Least length of the first segment with block means of a recording, relative to the recording, for
 which a settling is searched for in this segment."""
 
 TESTED_RECORDINGS = 4
-"""Number of the longest recordings that are tested for a settling."""
+"""Largest number of recordings that are tested for a settling: the longest recordings."""
 
 MOST_LEFT = 1.0
 """Largest part of a settling that may be left at the end of the first segment with block means,
@@ -257,15 +263,15 @@ class SensorSettling:
     Attributes
     ----------
     settling : Settling
-        Time constant of the sensor, and size of each axis in each recording.
+        Time constant of the sensor, and size of each axis in each recording with a settling.
     axes : tuple of int
         Indices of the axes that settle.
     gain : float
         Gain in -2 log L, summed over the axes, in the recording with the largest gain.
     left : float
         Part of the settling that is left at the end of the first segment with block means, divided
-        by the Allan deviation of the noise at the time constant. It is the largest of these ratios
-        for all axes and recordings.
+        by the Allan deviation of the noise at the time constant. The largest of these ratios for
+        all settling axes and recordings is given.
     """
 
     settling: Settling
@@ -282,7 +288,7 @@ class _Sensor:
     noise: Mapping[int, AxisSegment]
 
     def effects(self, time: float) -> dict[int, FittedEffects]:
-        """Return axis index -> fit with a settling; its time constant is ``time`` in samples."""
+        """Return axis index -> fit with a settling of the time constant ``time`` in samples."""
         decay = self.segment.contrasts_of(_decays([time], self.segment.means))
         return {axis: axis_segment.with_effects(decay) for axis, axis_segment in self.noise.items()}
 
@@ -296,7 +302,7 @@ class _Sensor:
     def best_time(self) -> tuple[float, float]:
         """Return the time constant in samples with the largest gain, and this gain.
 
-        Both are 0 if no score reaches `PROMISING_SETTLING`.
+        Both are 0 if no trial value has a score of `PROMISING_SETTLING` or more.
         """
         means = self.segment.means
         times = (TIMES * (len(means.values) * means.step)).tolist()
@@ -326,9 +332,10 @@ class _Sensor:
 def settling(sums: AllanSums, known: Statistics, axes: Sequence[int]) -> SensorSettling | None:
     """Return the settling of the axes of a sensor, or None if no tested recording shows one.
 
-    The `TESTED_RECORDINGS` longest recordings are tested.
-    The time constant is taken from the recording with the largest gain. ``known`` are the
-    statistics of the sums, and ``axes`` are the indices of the axes.
+    The first segment with block means of each of the `TESTED_RECORDINGS` longest recordings is
+    tested, unless the segment is too short. The time constant is taken from the recording with the
+    largest gain. ``known`` are the statistics of the sums, and ``axes`` are the indices of the
+    axes.
     """
     tau0 = sums.tau0 or 1.0
     longest_first = sorted(range(len(sums.recordings)), key=lambda i: -sums.recordings[i].samples)
@@ -398,8 +405,9 @@ def settling_findings(sums: AllanSums, found: Sequence[SensorSettling]) -> list[
 
 
 GAIN_STEPS, GAIN_MORE_STEPS = 20.0, 10.0
-"""Least gain in -2 log L for the first step of the bias, and for each further step. In simulations
-without steps, the 99 % quantiles of the gain are 11 to 22, depending on the noise
+"""Least gain in -2 log L of a model with one step of the bias, and number by which the least gain
+increases with each further step. In simulations without steps, the 99 % quantiles of the gain are
+11 to 22, depending on the noise, after `GAIN_MORE_STEPS` was subtracted for each further step
 (`bench/bench_stationarity.py`)."""
 
 MOST_STEPS = 5
@@ -431,7 +439,7 @@ class BiasSteps(NamedTuple):
 
 
 def bias_steps(segment: SegmentStatistics, axis: int) -> BiasSteps | None:
-    """Return the steps of the bias of one axis in a segment, or None if there are none."""
+    """Return the steps of the bias of one axis in a segment, or None if none are significant."""
     noise = segment.axis(axis)
     if noise is None:
         return None
@@ -452,7 +460,7 @@ def bias_steps(segment: SegmentStatistics, axis: int) -> BiasSteps | None:
 
 
 def step_findings(sums: AllanSums, known: Statistics, without: set[int]) -> list[Finding]:
-    """Return the findings about steps of the bias in the longest segment.
+    """Return the findings about steps of the bias in the longest segment with block means.
 
     An axis has a finding if its steps explain enough of its random walk (`STEPS_RATIO`). ``known``
     are the statistics of the sums, and ``without`` are the indices of axes that are not tested. The
@@ -479,7 +487,7 @@ def step_findings(sums: AllanSums, known: Statistics, without: set[int]) -> list
         if walk_after < STEPS_RATIO * walk_before:
             share = 1.0 - math.sqrt(walk_after / walk_before)
             size = float(np.abs(steps.effects.sizes).max())
-            times = [begin + (i + 1) * longest.step * tau0 for i in sorted(steps.indices)]
+            times = [begin + (k + 1) * longest.step * tau0 for k in sorted(steps.indices)]
             times_text = ', '.join(map(duration_text, times))
             findings.append(finding('bias_steps', (axis,), size=size, share=share, at=times_text))
     return findings

@@ -46,7 +46,11 @@ class Moments(NamedTuple):
     shared: Floats
 
     def gains(self, fit: Fit) -> Floats:
-        """Return the approximate gain of each candidate in addition to a fit, (candidates,)."""
+        """Return the approximate gain in -2 log L of adding each candidate to a fit, (candidates,).
+
+        The gain is 0 for a candidate whose coefficient would not be above 0, and for a candidate
+        that cannot be distinguished from the components of the fit.
+        """
         free = fit.free
         scale = np.sqrt(np.maximum(np.diag(fit.information)[free], 1e-300))
         scaled_information = fit.information[np.ix_(free, free)] / np.outer(scale, scale)
@@ -162,7 +166,7 @@ class Kind:
 
     @cached_property
     def slow(self) -> Ints:
-        """Indices of the k candidates that change the block means, (k,)."""
+        """Indices of the k candidates whose effect on the block means a search considers, (k,)."""
         if self.first.low_band == 'dense':
             return np.arange(len(self.processes))
         if self.first.low_band == 'none':
@@ -205,7 +209,7 @@ class Kind:
         return self.moments(data, fit, low).gains(fit)
 
     def moments(self, data: AxisData, fit: Fit, low: Sequence[LowBandFit]) -> Moments:
-        """Return score and Fisher information of all candidates; arguments as in `gains`.
+        """Return score and Fisher information of all candidates; the arguments are as in `gains`.
 
         The score is the derivative of the log likelihood with respect to the coefficient of a
         candidate, at the coefficient 0.
@@ -249,7 +253,7 @@ class Candidates:
 
     @cached_property
     def search(self) -> Search:
-        """Range of the shapes that the data can distinguish."""
+        """Properties of the data that limit the shapes of the candidates."""
         statistics = self.statistics
         block = np.array([octave(o).length for o in statistics.octave.tolist()], float)
         return Search(

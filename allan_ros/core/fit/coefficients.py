@@ -160,7 +160,7 @@ def random_coefficient(
 
 
 def _ramp(ramp: RampEstimate | None) -> Estimate:
-    """Return the estimate of a ramp in SI, with its sign."""
+    """Return the estimate of a ramp, with its sign; unknown if ``ramp`` is None."""
     if ramp is None:
         return UNKNOWN
     size, half_width = abs(ramp.value), ramp.half_width
@@ -225,8 +225,8 @@ def _covariance(
 ) -> Covariance:
     """Return the covariance of the squared coefficients in SI.
 
-    The rows are the four random terms, and then the components with the indices ``order``, as in
-    the model.
+    The first four rows are the random terms, or the processes that replace them. The other rows are
+    the other components whose indices are in ``order``, in this order, as in the model.
     """
     names, factors = [], []
     numbers: Counter[str] = Counter()

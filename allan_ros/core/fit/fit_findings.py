@@ -7,13 +7,15 @@ sensor. A recording is not a noise recording if at least half of its axes are di
 
 Conditions for a disturbed axis
 -------------------------------
-An axis is disturbed if one of these conditions holds. None of the conditions holds for a sensor at
-rest beside a fan, which adds only a few sinusoids.
+An axis is disturbed if one of these conditions holds. The conditions are chosen so that none of
+them holds for a sensor at rest beside a fan, which adds only a few sinusoids.
 
 1. Several broad or slow oscillations, or more than `MOST_LINES` oscillations of any kind, together
-   have more variance than the white noise of a sample.
-2. The white noise is not resolved, or is known much less precisely than pure white noise in a
-   recording of this length would be. Other noise is then larger at all frequencies.
+   have more variance than the white noise of a sample. Sinusoids of up to 0.1 Hz are regarded as
+   drift of the sensor, and are not counted.
+2. Neither white noise nor quantization noise is resolved, or the white noise is known much less
+   precisely than pure white noise in a recording of this length would be. Other noise is then
+   larger at all frequencies.
 3. In more than a third of the octaves of frequencies, the model does not fit.
 """
 
@@ -41,11 +43,12 @@ SLOWEST_VIBRATION = 0.5
 have resonances above this frequency."""
 
 RATE_WITHOUT_ALIASES = 400.0
-"""Lowest sample rate in Hz at which vibration of rotors and engines has no aliases."""
+"""Sample rate in Hz from which a finding about vibration mentions no alias. The frequencies of
+rotors and engines are mostly below half of this rate."""
 
 ALIAS_FROM = 0.02
 """Lowest frequency, as a fraction of the sample rate, for which an alias is mentioned. A slower
-sinusoid can only be an alias of a vibration at nearly the sample rate."""
+sinusoid can only be an alias of a vibration at nearly a multiple of the sample rate."""
 
 HARMONIC, HIGHEST_HARMONIC = 0.01, 6.5
 """Largest relative distance of a harmonic from a multiple of the fundamental frequency, and upper
@@ -121,7 +124,7 @@ def with_deviations(model: NoiseModel, curve: AllanCurve) -> NoiseModel:
 def with_harmonics(lines: Sequence[Part]) -> list[list[Part]]:
     """Return the sinusoids in groups: each group has a fundamental and then its harmonics.
 
-    ``lines`` must be sorted by frequency.
+    ``lines`` must be sorted by frequency, the lowest first.
     """
     groups: list[list[Part]] = []
     for line in lines:
@@ -176,7 +179,7 @@ def merge_equal(findings: Sequence[Finding]) -> tuple[Finding, ...]:
 
 
 def not_noise_findings(models: Sequence[NoiseModel], seconds: float) -> list[Finding]:
-    """Return one finding if the recording is not a noise recording, else an empty list.
+    """Return one finding, in a list, if the recording is not a noise recording, else an empty list.
 
     The list is also empty if the time at rest is below `TOO_SHORT_S`.
 
@@ -201,6 +204,8 @@ def not_noise_findings(models: Sequence[NoiseModel], seconds: float) -> list[Fin
 def is_disturbed(fit: AxisFit, tau0: float, seconds: float) -> bool:
     """Return whether motion or vibration hides the noise of an axis.
 
+    The result is False if N has neither a value nor an upper limit.
+
     Parameters
     ----------
     fit : AxisFit
@@ -217,7 +222,8 @@ def is_disturbed(fit: AxisFit, tau0: float, seconds: float) -> bool:
     shares = [
         (p.process, p.value**2 / (2.0 if p.process.is_line else 1.0) / white)
         for p in fit.model.shaped.parts
-        if not p.process.is_drift
+        # the rounding errors of a counter are no oscillation
+        if not p.process.is_drift and not p.process.letter
     ]
     motion_shares = [s for p, s in shares if not p.is_line or p.numbers['frequency'] < SLOW_HZ]
     if len(motion_shares) > 1 and sum(motion_shares) > 1.0:
@@ -231,7 +237,7 @@ def _is_obscured(fit: AxisFit, tau0: float, seconds: float) -> bool:
     """Return whether N is known much less precisely than it would be if all noise were white.
 
     Pure white noise with the bandwidth W determines N in the time T with a relative standard error
-    of 1 / sqrt(4 W T). If quantization noise (Q) is resolved, N need not be resolved.
+    of 1 / sqrt(4 W T). If N is not resolved, the result is whether Q is not resolved either.
     """
     n = fit.noise['N']
     if not n.resolved:
@@ -287,7 +293,7 @@ LENGTHS_S = (
     *(3600.0 * n for n in (1, 1.5, 2, 3, 4, 6, 8, 12, 16, 24)),
 )
 """Lengths in s that are recommended, ascending. A required length is rounded up to one of these
-lengths. If it exceeds the longest of them, no recording is recommended."""
+lengths. If the required length exceeds the longest of them, no length is recommended."""
 
 
 def recommended_duration(
@@ -298,8 +304,9 @@ def recommended_duration(
     If a segment shorter than `SECONDS_FOR_N` does not resolve N, `SECONDS_FOR_N` is recommended. If
     N is resolved, a longer recording is recommended if B or K is not resolved and the upper limit
     of this term is relevant or unknown. An upper limit is relevant if it exceeds the limit of the
-    datasheet. Without a datasheet, it is relevant if the term could contribute more than a quarter
-    of the Allan variance of the resolved terms at 100 s.
+    datasheet. Without such a limit, it is relevant if the term could contribute more than a quarter
+    of the Allan variance of the resolved terms at 100 s. A term is ignored if a recording of 24 h
+    would not resolve it.
 
     The length is computed from N, and from B and K if they are resolved. The uncertain estimate of
     the unresolved term is not used, so that the advice is stable during a recording.
@@ -364,7 +371,7 @@ def _negligible(term: str, fit: AxisFit) -> float:
 
 
 def _seconds_for(term: str, size: float, fit: AxisFit) -> float:
-    """Return the length in s of a recording that resolves B or K with the value ``size`` in SI."""
+    """Return the estimated length in s of a recording that resolves B or K of ``size`` in SI."""
     n, b, k = (_resolved_value(t, fit) for t in ADVISED_TERMS)
     if term == 'K':
         return max(K_RESOLVED * n / size, (K_RESOLVED_WITH_B * b / size) ** 2)

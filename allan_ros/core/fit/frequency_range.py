@@ -29,13 +29,14 @@ from .statistics import LowPassCurvature
 
 LACK_OF_FIT = 1e-3
 """Probability in a chi-squared test of the deviance of an octave, or of all octaves, below which a
-model is rejected. The expected rate of false alarms is 0.1 % of the axes; 0.1 % of 2100 axes were
-rejected."""
+model is rejected. The probability for an octave is first multiplied by the number of octaves.
+Measured false alarms: 0.1 % of 2100 axes."""
 
 CURVATURE = 2.5
-"""A low-pass filter is assumed if the next power of f in the spectrum exceeds this number of its
-standard errors. The next power is f^2, or f^4 if q may be negative. The expected rate of false
-alarms is 0.6 % (one-sided). A filter was found on 0.4 % of 2100 axes without a filter."""
+"""A low-pass filter is assumed if the coefficient of f^2 in the spectrum is below 0 by more than
+this number of its standard errors. The expected rate of false alarms is 0.6 % (one-sided). A filter
+was found on 0.4 % of 2100 axes without a filter. If q may be negative, the magnitude of the
+coefficient of f^4 is tested instead."""
 
 LEAST_BINS = 12
 """Fewest bins of a fit that does not use all frequencies."""
@@ -45,14 +46,16 @@ WHITE_NOISE = 3.0
 that passes its tests. The rate of false alarms that is stated at `CURVATURE` includes this test."""
 
 LOST_POWER = 0.8, 0.5
-"""A fit of a low-pass filtered axis is tried only if the power in the highest octave of the fit,
-relative to the power two octaves lower, is at least this number. The first number is for a fit of
-all frequencies, the second for a fit without the highest octaves of the data. Without this
-condition, several processes may imitate the filter, and the fit takes up to four times as long."""
+"""Least power in the highest octave of a fit, relative to the power two octaves lower, if the
+spectrum looks low-pass filtered. With less power, the fit is not tried, because several processes
+may imitate the filter, and the fit takes up to four times as long. The first number is for a fit of
+all frequencies, the second for a fit without the highest octaves of the data. There are two
+exceptions: a fit of the lowest frequencies is always possible, and a fit of all frequencies is
+tried if a fast process explains the spectrum (`_bends_like_noise`)."""
 
 FILTERED_FROM = 0.375
-"""Lowest frequency, in cycles per sample, of the range in which the power is compared with
-`EXPLAINED`. In this range, a low-pass filter removes most power."""
+"""Frequency, in cycles per sample, above which the power is compared with a fit (`EXPLAINED`). A
+low-pass filter removes more power there than at lower frequencies."""
 
 EXPLAINED = 0.92
 """Least power above `FILTERED_FROM`, relative to a fit with a fast Gauss-Markov process, for which
@@ -75,7 +78,8 @@ class SelectedModel(NamedTuple):
     Attributes
     ----------
     rules : Selection
-        Rules and data of the selection; bins that differ from the model have reduced weights.
+        Rules and data of the selection. Bins that contain sinusoids, and octaves that differ from
+        the model, have reduced weights.
     fit : Fit
         Fitted components. q and the term in f^4 may be negative if the samples are low-pass
         filtered.
@@ -155,7 +159,7 @@ class _TestResults(NamedTuple):
     fits: bool  # whether neither one octave nor all octaves together differ from the model
     looks_filtered: bool  # whether the spectrum bends like the spectrum of a low-pass filter
 
-    # whether the white noise is not resolved, or processes of the model may imitate a filter
+    # whether the white noise is not known well, or processes of the model may imitate a filter
     may_hide_filter: bool
 
     @property
@@ -229,7 +233,8 @@ def _estimate(rules: Selection) -> SelectedModel:
 def _down_weighted(rules: Selection, fit: Fit) -> tuple[Selection, Fit, dict[int, float]]:
     """Return a selection with less weight on octaves that differ from the model, and the new fit.
 
-    The third result is octave -> measured over modeled power, for the octaves that differ.
+    Weights and fit are computed twice. The third result is octave -> measured over modeled power,
+    for the octaves that differ from the first or the second model.
     """
     from scipy.special import chdtrc
 
@@ -252,12 +257,13 @@ def _highest(rules: Selection) -> _Trial:
     """Return the trial with the highest frequency for which the model passes all tests.
 
     A trial that does not use all frequencies passes only if the highest octave of the data has less
-    power than the white noise of the model.
+    power than the white noise of the model. Frequencies at which a filter has removed much power
+    are not tried (`LOST_POWER`).
 
     A trial that nearly passes is fair (`_TestResults.is_fair`). After the first fair trial, only a
     half and a quarter of its frequency are tried. If a low-pass filter is the cause, the model
     passes at one of these frequencies. If no trial passes, the result is the fair trial, or the
-    first trial if none is fair.
+    trial of the highest remaining frequency if none is fair.
     """
     f = rules.data.statistics.f
     tops = [top for top in TOPS if np.sum(f < top) >= LEAST_BINS]
@@ -289,10 +295,10 @@ def _bends_like_noise(rules: Selection) -> bool:
     """Return whether a fast Gauss-Markov process explains a spectrum that bends.
 
     The process is fitted together with the random terms, which include white noise. Bins in which a
-    sinusoid dominates are not used. The result is True if the white noise is resolved, and if the
-    ratio of the power above `FILTERED_FROM` to the power of the fit exceeds `EXPLAINED`; with a
-    low-pass filter, the ratio is smaller. It is the median over the bins, on which a few sinusoids
-    have no effect.
+    sinusoid dominates have nearly no weight in the fit. The result is True if the white noise
+    exceeds `WHITE_NOISE` standard errors, and if the ratio of the power above `FILTERED_FROM` to
+    the power of the fit exceeds `EXPLAINED`; with a low-pass filter, the ratio is smaller. This
+    ratio is the median over the bins, on which a few sinusoids have no effect.
     """
     data = rules.data
     fit = _with_fast_process(rules)
@@ -317,10 +323,12 @@ def _with_fast_process(rules: Selection) -> Fit:
 
 
 def _is_rather_filter(rules: Selection, fit: Fit) -> bool:
-    """Return whether a low-pass filter explains the data as well as the fast processes of a fit.
+    """Return whether a low-pass filter may explain the data instead of the fast processes of a fit.
 
     The fast processes are Gauss-Markov processes that bend the spectrum (`bends_spectrum`). The
-    result is False if the fit has no such process, or if q may already be negative in it.
+    result is True if -2 log L with the filter instead of these processes exceeds -2 log L of the
+    fit by less than `GAIN_RESOLVED`. It is False if the fit has no such process, or if q may
+    already be negative in the fit.
     """
     is_fast = np.array([c.bends_spectrum for c in fit.components])
     if rules.signed or not is_fast.any():
@@ -332,9 +340,9 @@ def _is_rather_filter(rules: Selection, fit: Fit) -> bool:
 
 
 def _loses_power(data: AxisData, fit: Fit) -> bool:
-    """Return whether the highest octave of the data has less power than the white noise of a fit.
+    """Return whether the highest octave has significantly less power than the white noise of a fit.
 
-    The power is the median over the bins, on which a few sinusoids have no effect.
+    The power of the octave is the median over the bins, on which a few sinusoids have no effect.
     """
     is_high = data.statistics.f > TOPS[1]
     error = math.sqrt(math.pi / float(data.statistics.dof[is_high].sum()))
@@ -345,7 +353,8 @@ def _relative_power(data: AxisData, top: float) -> float:
     """Return the power in the octave below ``top`` relative to the power two octaves lower.
 
     The first power is the median over the bins of its octave, the second is the minimum. A few
-    sinusoids have no effect on the median or on the minimum.
+    sinusoids have no effect on the median or on the minimum. The result is 1 if one of the octaves
+    has no bins.
     """
     f, power = data.statistics.f, data.power
     high_power, low_power = (
@@ -393,8 +402,8 @@ def _test(rules: Selection, fit: Fit) -> _TestResults:
     The power in each octave and in all octaves is compared with the model (chi-squared tests). The
     spectrum looks low-pass filtered if it contains a significant further power of f: a negative
     term in f^2, or a term in f^4 if q may be negative. The model may hide a low-pass filter if the
-    white noise is not resolved, if processes imitate the filter, or if the filter explains the data
-    as well as the fast processes.
+    white noise is less than `WHITE_NOISE` standard errors, if processes imitate the filter, or if
+    the filter explains the data nearly as well as the fast processes.
     """
     from scipy.special import chdtrc
 

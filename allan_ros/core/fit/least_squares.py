@@ -48,9 +48,13 @@ PAPER_FACTORS = (3.0, 1.0, FLICKER_FLOOR, 1.0 / 3.0, 0.5)
 def fit_paper(sums: AllanSums) -> NoiseModel:
     """Fit sum A_p tau^p to the Allan variances of all axes (Cong et al. 2019).
 
-    A term whose A_p is negative has no value, and a finding reports the term. With fewer points
-    than terms, no term has a value, and a finding reports this. Raises AllanError if no segment has
-    two samples.
+    A term whose A_p is negative has no value, and a finding reports the term. With data at fewer
+    averaging times than there are terms, no term has a value, and a finding reports this.
+
+    Raises
+    ------
+    AllanError
+        If no segment has two samples.
     """
     tau0 = sample_period(sums)
     tau = sums.m * tau0
@@ -110,7 +114,7 @@ LEAST_ERROR = 0.05
 points of a curve have in common, because the points are correlated."""
 
 LEAST_POINTS = 6
-"""Fewest points of a curve: one more than there are terms."""
+"""Fewest points of a curve after decimation: one more than there are terms."""
 
 RESOLVED = 2.33
 """A coefficient is resolved if its square is at least this multiple of the standard error of the
@@ -123,11 +127,12 @@ def fit_curve(tau: ArrayLike, adev: ArrayLike, record: float | None = None) -> A
     Parameters
     ----------
     tau : (points,) array
-        Averaging times in s.
+        Averaging times in s, in any order. Times that are not finite or not above 0 are ignored.
     adev : (points,) array
-        Allan deviations in SI units.
+        Allan deviations in SI. Values that are not between 1e-150 and 1e150 are ignored.
     record : float, optional
-        Length of the recording in s; nine times the longest used averaging time by default.
+        Length of the recording in s; by default, nine times the longest averaging time that is
+        used.
 
     Returns
     -------
@@ -137,8 +142,9 @@ def fit_curve(tau: ArrayLike, adev: ArrayLike, record: float | None = None) -> A
     Raises
     ------
     AllanError
-        If there are too few valid points, or if ``record`` is not finite or is shorter than twice
-        the longest averaging time that is used (about four points per octave are used).
+        If fewer than `LEAST_POINTS` points remain after about four valid points per octave are
+        chosen. Also if ``record`` is not finite or is shorter than twice the longest averaging time
+        of these points.
 
     Examples
     --------
@@ -176,7 +182,7 @@ def fit_curve(tau: ArrayLike, adev: ArrayLike, record: float | None = None) -> A
 def _decimated(tau: Floats, adev: Floats) -> tuple[Floats, Floats]:
     """Return averaging times, ascending, and Allan variances of about 4 valid points per octave.
 
-    Raises AllanError if there are too few valid points.
+    Raises AllanError if fewer than `LEAST_POINTS` points remain.
     """
     is_valid = np.isfinite(tau) & (tau > 0.0) & (adev > 1e-150) & (adev < 1e150)
     order = np.argsort(tau[is_valid])

@@ -69,9 +69,10 @@ class Fit:
         -2 log likelihood, up to a constant; infinite if the expected power or covariance of the
         model is not positive.
     information : (components, components) array
-        Fisher information of the coefficients.
+        Fisher information of the coefficients; empty if ``value`` is infinite.
     moment : (components,) array
-        ``moment`` - ``information`` @ ``p`` is the score (gradient of the log likelihood).
+        ``moment`` - ``information`` @ ``p`` is the score (gradient of the log likelihood). Empty if
+        ``value`` is infinite.
     columns : Columns
         Expected statistics of the components.
     signed : tuple of int
@@ -88,13 +89,13 @@ class Fit:
 
     @property
     def free(self) -> NDArray[np.int64]:
-        """Indices of the k coefficients that are not held at 0, (k,)."""
+        """Indices of the k coefficients that are above 0 or may be negative, (k,)."""
         return np.flatnonzero((self.p > 0.0) | flags(len(self.p), self.signed))
 
     def covariance(self) -> Floats:
         """Return the covariance of all coefficients, (components, components).
 
-        The covariance is 0 for coefficients that are held at 0.
+        The covariance is 0 for coefficients that are not in `free`.
         """
         free = self.free
         full_covariance = np.zeros_like(self.information)
@@ -114,7 +115,10 @@ def flags(size: int, chosen: Iterable[int]) -> Flags:
 
 
 def inverse(information: Floats) -> Floats:
-    """Return the inverse of an information matrix, (n, n), after scaling and adding `RIDGE`."""
+    """Return the inverse of an information matrix, (n, n).
+
+    `RIDGE` is added to the diagonal of the matrix when the diagonal is scaled to 1.
+    """
     d = np.sqrt(np.maximum(np.diag(information), 1e-300))
     scaled = information / np.outer(d, d) + RIDGE * np.eye(len(d))
     return np.asarray(np.linalg.inv(scaled) / np.outer(d, d))
@@ -186,7 +190,7 @@ class AxisData:
         """Return the expected statistics of components, and then their derivatives.
 
         There is one derivative for each shape parameter in ``tangents``, with respect to the
-        logarithm of this parameter.
+        logarithm of this parameter. The result contains the power of the used bins only.
         """
         columns = [self.statistics.column(each, self.axis) for each in components]
         power = [each.power for each in columns]
@@ -272,8 +276,9 @@ class AxisData:
     ) -> Fit:
         """Return the maximum of the likelihood over the coefficients of some components.
 
-        If the search has not converged after ``rounds`` steps, the last step is returned. The value
-        of the result is infinite if the coefficients to start from are impossible.
+        If the search has not converged after ``rounds`` steps, the result of the last step is
+        returned. The value of the result is infinite if the expected power or covariance at the
+        coefficients to start from is not positive.
 
         Parameters
         ----------
@@ -290,7 +295,13 @@ class AxisData:
         rounds : int
             Largest number of steps.
         tolerance : float
-            Change of -2 log L below which a step is the last step.
+            Expected change of -2 log L below which a step is the last step.
+
+        Raises
+        ------
+        numpy.linalg.LinAlgError
+            If the information matrix is not positive definite in spite of `RIDGE`, for example if
+            the matrix contains NaN.
         """
         columns = self.columns(components) if columns is None else columns
         p = self.start(columns) if p is None else p.copy()
@@ -375,9 +386,9 @@ def profile_interval(
 ) -> Interval:
     """Return the interval of the coefficient ``i`` of a fit, by its profile likelihood.
 
-    The interval is in units of `AxisData.scale`. It contains all values whose -2 log L exceeds the
-    minimum by at most 3.84, with all other coefficients fitted again for each value. The interval
-    of a coefficient that may be negative is symmetric: 1.96 standard errors to each side.
+    The interval is in units of `AxisData.scale`. It contains all values for which -2 log L exceeds
+    the minimum by at most 3.84, with all other coefficients fitted again for each value. The
+    interval of a coefficient that may be negative is symmetric: 1.96 standard errors to each side.
     ``with_shapes``, (components + shapes, components + shapes), is the result of
     `information_with_shapes`. If it is given, the interval is wider by the ratio of two standard
     errors: with unknown and with known shapes.
@@ -425,7 +436,7 @@ def profile_interval(
 
 
 def _crossing(distance, z: float, inner: float, outer: float, outer_distance: float) -> float:  # type: ignore[no-untyped-def]
-    """Return the value between ``inner`` and ``outer`` at which ``distance`` is z.
+    """Return the value between ``inner`` and ``outer`` at which ``distance`` is approximately z.
 
     ``distance`` is 0 at ``inner``, and ``outer_distance`` at ``outer``.
     """

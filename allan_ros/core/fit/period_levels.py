@@ -64,7 +64,9 @@ LEAST_LAST_S, LEAST_LAST_PART = 30.0, 0.1
 
 @dataclass(frozen=True, eq=False)
 class PeriodLevels:
-    """Level of white noise or of drift in each period.
+    """Level of white noise or of drift in each period of time.
+
+    A period is a `Period` of the Allan sums, or one block mean (`innovation_levels`).
 
     Attributes
     ----------
@@ -84,12 +86,18 @@ class PeriodLevels:
     share: Floats
 
     def mean(self, axis: int, rows: slice = slice(None)) -> float:
-        """Return the mean level of an axis over the periods ``rows``."""
+        """Return the mean level of an axis over the periods ``rows``.
+
+        The periods are weighted with their degrees of freedom.
+        """
         weights = np.maximum(self.dof[rows, axis], 1e-9)
         return float(np.average(self.power[rows, axis], weights=weights))
 
     def usual(self, axis: int, before: int) -> float:
-        """Return the weighted median of the levels of the periods before the index ``before``."""
+        """Return the weighted median of the levels of the periods before the index ``before``.
+
+        The weights are the degrees of freedom. ``before`` is at least 1.
+        """
         order = np.argsort(self.power[:before, axis])
         weight = np.cumsum(self.dof[:before, axis][order])
         at = int(np.searchsorted(weight, weight[-1] / 2.0))
@@ -98,8 +106,9 @@ class PeriodLevels:
     def spread(self, axis: int) -> float:
         """Return the variance of the level relative to its variance for Gaussian noise, at least 1.
 
-        The variance is the median over all pairs of neighboring periods, on which a few changes of
-        the level have no effect.
+        The variance follows from the median of the squared differences between the logarithms of
+        neighboring levels, on which a few changes of the level have no effect. The result is 1 if
+        no two neighboring levels are known.
         """
         power, dof = self.power[:, axis], self.dof[:, axis]
         is_known_pair = (dof[1:] > 0.0) & (dof[:-1] > 0.0) & (power[1:] > 0.0) & (power[:-1] > 0.0)
@@ -125,23 +134,24 @@ class PeriodLevels:
     def extremes(self, axis: int) -> tuple[float, float]:
         """Return the lowest and the highest N in parts of the data, divided by N of all data.
 
-        The first result is at most 1, the second at least 1. Both are 1 if a level is unknown.
+        The first result is at most 1, the second at least 1. Parts without spectra are omitted.
+        Both results are 1 if the level of all data is unknown or 0.
         """
         part_index = np.floor(np.cumsum(self.samples) / (PART * self.samples.sum()) - 1e-9)
         rows = (
             slice(*np.flatnonzero(part_index == i)[[0, -1]] + [0, 1]) for i in np.unique(part_index)
         )
-        mean = np.float64(self.mean(axis)) or np.nan
-        ratios = np.sqrt(np.array([self.mean(axis, each) for each in rows]) / mean)
+        levels = [self.mean(axis, each) for each in rows if self.dof[each, axis].any()]
+        ratios = np.sqrt(np.array(levels) / (self.mean(axis) or np.nan))
         if not np.isfinite(ratios).all():
             return 1.0, 1.0
         return float(ratios.min(initial=1.0)), float(ratios.max(initial=1.0))
 
     def last_change(self, axis: int) -> int | None:
-        """Return the index of the first period after the last change of the level, or None.
+        """Return the index of the first period after the last significant change of the level.
 
-        A change is found only if N after it differs from the usual N before it by more than
-        `LEAST_CHANGE`.
+        The result is None if no change is significant, or if N after the last change differs from
+        the usual N before this change by no more than `LEAST_CHANGE`.
         """
         dof, power, spread = self.dof[:, axis], self.power[:, axis], self.spread(axis)
         found, begin = None, 0
@@ -238,11 +248,11 @@ class PeriodSpectra(NamedTuple):
     samples: NDArray[np.int64]  # (periods,) number of samples
 
     def levels(self, expected: Floats, share: Floats) -> PeriodLevels:
-        """Return the level of white noise or of drift in each period, as a weighted mean of bins.
+        """Return the level of white noise or of drift in each period, as a weighted mean over bins.
 
         ``expected``, (bins, axes), is the power with which the power of a period is compared.
         ``share``, (bins, axes), is the share of the white noise, or of the drift, in the power of a
-        bin, and the weight of the bin.
+        bin. The weight of a bin is this share times the degrees of freedom of the bin.
         """
         dof = self.dof[:, :, None]
         weight, square = dof * share, dof * share**2
@@ -285,9 +295,9 @@ def present_part(sums: AllanSums, levels: PeriodLevels) -> tuple[int, tuple[int,
     """Return the first period at the present level of the white noise, and the axes that changed.
 
     Both results are indices. An axis has changed if N of the axis changed by more than
-    `LEAST_CHANGE` at the start of this period. The result is None if no level has changed
-    significantly by more than this, or if the present level has lasted for less than the time
-    `LEAST_LAST_S`, or less than the share `LEAST_LAST_PART` of the data.
+    `LEAST_CHANGE` at the start of this period. A change is ignored if the data after the change
+    last less than `LEAST_LAST_S`, or less than the share `LEAST_LAST_PART` of all data. The result
+    is None if no axis has another significant change of more than `LEAST_CHANGE`.
     """
     total = levels.samples.sum()
     least_samples = max(LEAST_LAST_S / (sums.tau0 or 1.0), LEAST_LAST_PART * total)
@@ -306,7 +316,8 @@ def present_part(sums: AllanSums, levels: PeriodLevels) -> tuple[int, tuple[int,
 
 LEAST_SHARE = 0.3
 """The level of the drift is measured in bins in which the drift has more than this share of the
-power, and in block means whose innovations have at least this share of drift in their variance."""
+power, and in the block means of axes on which the drift has, on average, at least this share of the
+variance of the innovations."""
 
 LARGEST_SETTLING = 0.01
 """The level of the drift is measured in bins in which a settling has less than this share of the
@@ -325,8 +336,8 @@ def total_and_drift(
 ) -> tuple[Floats, Floats]:
     """Return an expected statistic of the model of an axis, and the part that is due to drift.
 
-    Drift is all noise whose integral grows with time, except white noise. A ramp and a low-pass
-    filter are no noise, and are ignored.
+    Drift is all noise with `Process.is_drift`, except white noise. A ramp and a low-pass filter are
+    no noise, and are ignored.
 
     Parameters
     ----------

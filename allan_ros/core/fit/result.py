@@ -1,9 +1,9 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Result of a fit: terms with intervals, model and its curve, and bias over temperature of an axis.
+"""Result of the fit of an axis: terms with intervals, model, and bias over temperature.
 
-For the curve, this module computes the largest deviation from the model, and the dominant term in
-each range of averaging times (as in Cong et al. 2019).
+For a measured curve, this module computes the largest deviation from the model, and the dominant
+term in each range of averaging times (as in Cong et al. 2019).
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ Q, N, B, K = range(4)
 """Indices of `RANDOM_TERMS` in all arrays of variance coefficients (q, w, b, k)."""
 
 TERMS = tuple(LETTERS)
-"""Quantization, angle or velocity random walk, bias instability, rate random walk, rate ramp."""
+"""Letters of the five terms: Q, N, B, K and R (docs/glossary.md)."""
 
 
 class Deviation(NamedTuple):
@@ -58,7 +58,7 @@ class LackOfFit(NamedTuple):
     low, high : float
         Frequencies of the first and the last bin of the octave in Hz.
     ratio : float
-        Measured power / power of the model.
+        Measured power / power of the model, as a mean over the bins of the octave.
     """
 
     low: float
@@ -90,7 +90,8 @@ class AxisFit:
         the same sensor, for white noise and for drift; 0 if the levels within the recording do not
         differ significantly.
     gof_z : float or None
-        Goodness of fit of the model as a normal deviate; None if the method has no test.
+        Goodness of fit of the model as a normal deviate; None if the method has no test, or if the
+        data are too short for a spectrum.
     lack_of_fit : tuple of LackOfFit
         Octaves in which the data differ from the model; empty if the model passes the test.
     deviation : Deviation or None
@@ -118,7 +119,7 @@ class AxisFit:
         """The model with every unresolved term at its 95 % upper limit.
 
         A term without a finite limit is unchanged. A term that exceeds its limit keeps its
-        magnitude.
+        magnitude. R at its limit is positive.
         """
         limits = {
             term: max(c.upper95, abs(self.model.value(term)))
@@ -137,19 +138,19 @@ class AxisFit:
 
         The first model has all coefficients at the lower ends, the second model at the upper ends.
         The interval of a term that has only an upper limit begins at 0. A term that is not in the
-        model is 0 in both models. R is replaced by its
-        magnitude, and Q by 0. Shapes and sinusoids are unchanged.
+        model is 0 in both models. R is replaced by its magnitude, and Q by 0. Shapes, sinusoids and
+        processes without an interval are unchanged.
 
         Parameters
         ----------
         predictive : bool
-            Whether the predictive intervals are used; if not, the intervals for the recording are
-            used.
+            Whether predictive intervals are used where they are known; if not, only the intervals
+            for the recording are used.
 
         Returns
         -------
         (Model, Model) or None
-            None if N, B, K or R of the model has neither an interval nor a limit.
+            None if N, B, K or R is in the model and has neither an interval nor a finite limit.
         """
         intervals: dict[str, tuple[float, float]] = {}
         for term in 'NBKR':
@@ -210,7 +211,8 @@ SIGNIFICANT = 3.0
 """Least deviation of a point from the model that is significant, in error bars of the point."""
 
 MIN_WIDTH = 3.0
-"""Smallest ratio tau_high/tau_low of a range with a single dominant term: half a decade."""
+"""Ratio tau_high/tau_low, about half a decade, below which a range is merged with narrow neighbors
+or gets two terms."""
 
 
 class ModelLine(NamedTuple):
@@ -234,8 +236,8 @@ def model_line(fit: AxisFit, tau0: float, m: NDArray[np.int64]) -> ModelLine:
     """Return the Allan deviation of the model at the averaging factors ``m`` of a curve, in SI.
 
     ``m`` and both arrays of the result are (factors,). ``tau0`` is the sample period in s.
-    The Allan deviation is NaN below the shortest averaging time that the model describes, and where
-    the Allan variance of the model is not above 0.
+    Both arrays are NaN below the shortest averaging time that the model describes, and where the
+    Allan variance of the model is not above 0.
     """
     # the Allan variance of a model with a low-pass filter may be negative at short times
     with np.errstate(invalid='ignore'):
@@ -289,7 +291,7 @@ def dominant_regions(curve: AllanCurve, fit: AxisFit) -> list[Region]:
 
     A term or process dominates where it has the largest share of the Allan variance of the model.
     Adjacent ranges that are narrower than a factor of 3 in tau are merged. A narrow range without a
-    narrow neighbor gets the two terms with the largest shares, if the model has two terms.
+    narrow neighbor gets the two terms with the largest shares, if the model has two terms or more.
 
     The ranges are contiguous, cover the measured curve, and are sorted by tau. The list is empty if
     the model or the curve is empty.
@@ -323,7 +325,7 @@ def dominant_regions(curve: AllanCurve, fit: AxisFit) -> list[Region]:
 
 @dataclass(frozen=True)
 class SlowNoise:
-    """Bias instability and rate random walk, fitted to the block means."""
+    """Bias instability, and rate or acceleration random walk, fitted to the block means, in SI."""
 
     B: Estimate
     K: Estimate
@@ -338,8 +340,8 @@ class TemperatureModel:
     reference, lowest, highest : float
         T0, and the lowest and highest temperature of the block means, in degC.
     b0, b1, b2 : float
-        Mean over the recordings of the bias at T0, slope at T0 per K, and curvature per K^2. The
-        bias of an accelerometer contains gravity.
+        Bias at T0 as a mean over the block means of all recordings, slope at T0 per K, and
+        coefficient of the square per K^2. The bias of an accelerometer contains gravity.
     b0_ci95, b1_ci95, b2_ci95 : (low, high)
         95 % intervals.
     hysteresis : float
@@ -348,12 +350,13 @@ class TemperatureModel:
     hysteresis_ci95 : (low, high)
         95 % interval.
     rate : float
-        Mean rate of change of the temperature, r = mean |dT/dt|, in K/s.
+        Mean magnitude of the rate of change of the temperature, r = mean |dT/dt|, in K/s.
     resolved : bool
         Whether b1 or b2 differs from 0 (false-alarm probability 1 %).
     explained : float or None
-        Share of the variance of the block means, without their white noise, that the temperature
-        explains; None if white noise alone explains that variance.
+        Share of the variance of the block means within the recordings that b1 and b2 explain. The
+        variance of the white noise is subtracted first. None if white noise alone may explain the
+        variance.
     averaging_time : float
         Length of the block means in s.
     measured, corrected : SlowNoise

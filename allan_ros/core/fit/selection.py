@@ -100,7 +100,7 @@ class Selection:
 
     @cached_property
     def search(self) -> Search:
-        """Range of shapes that the used data can distinguish."""
+        """Properties of the data that limit the shapes of the processes."""
         return replace(self.candidates.search, shortest=self.shortest)
 
     def fit(self, components: Sequence[Process], p: Floats | None = None) -> Fit:
@@ -116,7 +116,10 @@ class Selection:
         return self.fit(self.base)
 
     def selected(self) -> tuple[Selection, Fit]:
-        """Return the selection, with reduced weights of bins (`weighed`), and the selected fit."""
+        """Return the selection and the selected fit.
+
+        If processes were added, bins that contain sinusoids have less weight (`weighed`).
+        """
         rules, fit = self, self.base_fit
         while len(fit.p) < len(self.base) + MAX_PROCESSES:
             larger = rules._with_one_more(fit)
@@ -192,7 +195,7 @@ class Selection:
         return self.refined(self.fit(components, fit.p), range(len(self.base), len(fit.p)))
 
     def without_superfluous(self, fit: Fit) -> Fit:
-        """Return the fit without processes that later processes made superfluous.
+        """Return the fit without added processes that the other processes made superfluous.
 
         Sinusoids are kept.
         """
@@ -275,8 +278,8 @@ class Selection:
         """Return whether processes have the smooth spectrum of a low-pass filter.
 
         Such processes are several sinusoids within one octave, or a broad resonance near the
-        highest frequency of a spectrum that bends. Sinusoids six octaves or more below the highest
-        frequency do not count, because a filter does not bend the spectrum there.
+        highest frequency of a spectrum that bends. Sinusoids six octaves or more below `fastest` do
+        not count, because a filter does not bend the spectrum there.
         """
         frequencies = (c.shape[0] for c in fit.components if c.is_line)
         octaves_of_lines = np.log2(sorted(f for f in frequencies if f > self.fastest / 64.0))
@@ -299,7 +302,8 @@ class Selection:
     def _replaced(self, fit: Fit, index: int, kind: type[Process]) -> Fit:
         """Return the fit with a process of a given kind instead of a term, if this fit is better.
 
-        ``index`` is the index of the term. If no such process is better, ``fit`` is returned.
+        ``index`` is the index of the term. If the gain does not exceed the threshold of the process
+        (`Process.threshold`), ``fit`` is returned.
         """
         if fit.p[index] <= 0.0 or self._aliased(fit):
             return fit

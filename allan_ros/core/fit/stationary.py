@@ -156,9 +156,9 @@ def fit_likelihood(sums: AllanSums, of_axes: Sequence[Statistics] = ()) -> Noise
     ``of_axes`` are the statistics of the sums for each axis, if they are already computed. They
     must take the settling of a sensor into account (see `statistics`).
 
-    Too few data raise no error: an axis with too few statistics has no values and no limits, and a
-    finding reports the axis. An axis whose spectra are not finite has no values and no
-    finding.
+    Too few data raise no error: an axis with too few statistics, or without noise, has no values
+    and no limits, and a finding reports the axis. An axis whose spectra are not finite has no
+    values and no finding.
     """
     tau0 = sums.tau0 or 1.0
     of_axes = of_axes or [statistics(sums)] * len(sums.axes)
@@ -354,8 +354,8 @@ def _with_predictive_intervals(
 ) -> NoiseModel:
     """Return the model with predictive intervals for sensors whose noise varies with time.
 
-    ``levels`` are the levels of the white noise, and ``drifts`` are the levels of the drift in
-    the spectra and in the block means, of which the larger scatter is used.
+    ``levels`` are the levels of the white noise. ``drifts`` are the levels of the drift in the
+    spectra and in the block means, of which the larger scatter is used.
     """
     axes = dict(model.axes)
     names = list(axes)

@@ -13,8 +13,8 @@ weighted with cosines that are orthogonal to a constant and to a line. Their cov
 function of gamma(M, j), too. Segments of equal length share one Gram matrix.
 
 Contrasts whose weights are symmetric in time are uncorrelated with contrasts whose weights are
-antisymmetric, because the autocovariance does not depend on the direction of time. They form two
-groups, so that the matrices are small.
+antisymmetric, because the autocovariance does not depend on the direction of time. Many contrasts
+are therefore divided into two groups, so that the matrices are small.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ class Size(NamedTuple):
         """Return the sizes of the antisymmetric and of the symmetric contrasts.
 
         If the contrasts are orthogonal to a settling, which is neither symmetric nor antisymmetric,
-        or if there are fewer contrasts than `LEAST_DIVIDED`, this size is returned alone.
+        or if there are fewer cosines than `LEAST_DIVIDED`, the result contains only this size.
         """
         if self.decay or self.high < LEAST_DIVIDED:
             return [self]
@@ -93,8 +93,8 @@ MOST_CONTRASTS = 300
 frequency are used."""
 
 LEAST_DIVIDED = 32
-"""Fewest contrasts that are divided into antisymmetric and symmetric contrasts. With fewer, two
-small matrices take as much time as one matrix."""
+"""Fewest cosines of a segment for which contrasts are divided into antisymmetric and symmetric
+contrasts. With fewer cosines, two small matrices take as much time as one matrix."""
 
 SETTLED = 5.0
 """Time, in time constants, after which a settling has ended: 0.7 % of its size is left."""
@@ -148,9 +148,10 @@ def _power_of(gamma: Gamma, octaves: int) -> Floats:
 def contrasts(size: Size) -> Floats:
     """Return the weights of block means in each contrast, (points, `Size.lines` + high).
 
-    The columns are a line in time, and cosines of 1, 2, ... half periods. Antisymmetric cosines
-    have an odd number of half periods, symmetric cosines an even number. The columns are made
-    orthonormal, and orthogonal to a constant and to the settling, if there is one.
+    The columns are a line in time, unless all weights are symmetric, and cosines of 1, 2, ... half
+    periods. Antisymmetric cosines have an odd number of half periods, symmetric cosines an even
+    number. The columns are made orthonormal, and orthogonal to a constant and to the settling, if
+    there is one.
     """
     points, high, decay, symmetry = size
     t = np.arange(points)
@@ -247,7 +248,7 @@ class Statistics:
     Attributes
     ----------
     samples, longest : int
-        Number of samples of all segments, and of the longest segment.
+        Number of samples of all segments, and of the longest segment with block means.
     octave, f : (bins,) arrays
         Octave of each bin, and frequency of each bin in cycles per sample.
     power : (bins, axes) array
@@ -258,7 +259,8 @@ class Statistics:
         Degrees of freedom of a bin: as part of a sum over many bins, which are correlated, and of
         the bin alone.
     correlation : float
-        Sum of the squared correlations of the power of a bin with all bins of its block.
+        Sum of the squared correlations of the mean power of a bin with all bins of its block, in
+        the lowest octave; 1 without spectra.
     step : int
         Samples per block mean.
     groups : tuple of Group
@@ -332,7 +334,7 @@ class Statistics:
         return columns
 
     def dof_of(self, axis: int) -> Floats:
-        """Return the degrees of freedom of the bins of an axis, (bins,)."""
+        """Return the degrees of freedom of the bins of an axis, (bins,), reduced by a settling."""
         share_of_noise = 1.0 - self.settling[:, axis]
         return np.asarray(self.dof * share_of_noise**2)
 
@@ -401,7 +403,7 @@ def statistics(sums: AllanSums, settling: Settling | None = None) -> Statistics:
     """Return the statistics of Allan sums, in which a settling has no effect on a fit.
 
     A settling is an exponential change of the bias after the start of a recording. The contrasts of
-    the block means are orthogonal to the exponential of the settling, so that the size of the
+    segments that contain the settling are orthogonal to its exponential, so that the size of the
     settling has no effect. The share of the settling in the power of the octave spectra is
     computed, and a fit subtracts it.
     """
@@ -510,7 +512,10 @@ def _groups(
 
 
 def elapsed(recording: RecordedPeriods, means: BlockMeans, tau0: float) -> float:
-    """Return the time from the start of a recording to the start of a segment, in samples."""
+    """Return the time in samples from the start of a recording to the start of a segment.
+
+    The recording starts with its first period, also if earlier periods were excluded.
+    """
     return (means.start_ns - recording.periods[0].begin_ns) * 1e-9 / tau0
 
 

@@ -87,7 +87,7 @@ class _TemperatureBlocks(NamedTuple):
     def rate(self) -> Floats:
         """Slope of the temperature near each block, in K per block, (n,).
 
-        The blocks within `RATE_BLOCKS` / 2 blocks of a block are used.
+        The blocks of the same recording within `RATE_BLOCKS` / 2 blocks of a block are used.
         """
         slopes = np.zeros(len(self.time))
         for part in self.parts:
@@ -247,12 +247,12 @@ def half_widths(variances: ArrayLike, dof: ArrayLike) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class _Contrasts:
-    """Contrasts of the block means of one axis without constants and lines, scaled to variance 1.
+    """Contrasts of the block means of one axis without constants and lines; their mean square is 1.
 
     Attributes
     ----------
     data : AxisData
-        Data of the axis, of which only the scale and the statistics are used.
+        Data of the axis, of which only the scale and the index of the axis are used.
     processes : tuple of Process
         Noise of the block means, with shapes in samples.
     known : (processes,) array
@@ -317,7 +317,8 @@ def _contrasts(
 ) -> _Contrasts:
     """Return the contrasts of the block means of one axis.
 
-    The columns of ``basis``, (blocks, contrasts), are orthogonal to a constant and a line in time.
+    The columns of ``basis``, (blocks, contrasts), are orthogonal to a constant and a line in time
+    for each recording.
     """
     noise = _block_noise(fit, tau0, blocks.step)
     lags = np.abs(np.subtract.outer(blocks.time, blocks.time))

@@ -15,8 +15,9 @@ from allan_ros.cli.main import main
 from allan_ros.core.estimate import Estimate
 from allan_ros.core.fit.fit_findings import is_disturbed
 from allan_ros.core.fit.result import AxisFit, LackOfFit
-from allan_ros.core.noise import Model
+from allan_ros.core.noise import Model, Process
 from allan_ros.core.noise.processes.resonance import Resonance
+from allan_ros.core.noise.processes.rounded_angle import RoundedAngle
 from allan_ros.core.noise.processes.sinusoid import Sinusoid
 
 RATE, SECONDS = 50.0, 240.0
@@ -28,7 +29,7 @@ HALF_WIDTH = 0.009
 """Relative half width of the interval of N that white noise of this length has."""
 
 
-def axis(*shaped: tuple[float, Sinusoid | Resonance], width: float = HALF_WIDTH) -> AxisFit:
+def axis(*shaped: tuple[float, Process], width: float = HALF_WIDTH) -> AxisFit:
     """Return the fit of an axis with oscillations; their sizes are relative to the white noise."""
     parts = [(size * float(SIGMA[0]), process) for size, process in shaped]
     n = Estimate(N, (N * (1.0 - width), N * (1.0 + width)))
@@ -48,6 +49,11 @@ def test_several_slow_or_broad_oscillations_disturb_an_axis_if_they_outweigh_the
         assert not is_disturbed(axis((3.0, process)), 1.0 / RATE, SECONDS)
         assert not is_disturbed(axis((0.5, process), (0.5, beside)), 1.0 / RATE, SECONDS)
         assert is_disturbed(axis((3.0, process), (0.5, beside)), 1.0 / RATE, SECONDS)
+
+
+def test_the_rounding_errors_of_a_counter_are_no_oscillation() -> None:
+    counter = (1e-3, RoundedAngle(4.0, 0.1))
+    assert not is_disturbed(axis((3.0, Resonance(5.0, 0.5)), counter), 1.0 / RATE, SECONDS)
 
 
 def test_a_white_noise_that_is_hidden_disturbs_an_axis() -> None:

@@ -1,13 +1,18 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Innovations of the block means: independent for the right model, larger where the bias jumps."""
+"""Levels of the white noise of parts of a recording, and innovations of the block means."""
 
 import numpy as np
 import pytest
 
 from allan_ros.core.allan.running import RunningSums
 from allan_ros.core.allan.sums import AllanSums
-from allan_ros.core.fit.period_levels import MOST_MEANS, innovation_levels
+from allan_ros.core.fit.period_levels import (
+    MOST_MEANS,
+    innovation_levels,
+    period_spectra,
+    white_noise_levels,
+)
 from allan_ros.core.fit.result import AxisFit
 from allan_ros.core.fit.stationary import fit_stationary, scatter
 from allan_ros.core.imu import AXES
@@ -60,6 +65,17 @@ def test_a_shorter_segment_has_the_innovations_that_it_has_alone() -> None:
     assert len(both.power) > len(coarse.power)
     assert both.samples[0] >= alone.samples[0]
     assert both.power[-len(coarse.power) :] == pytest.approx(coarse.power, rel=1e-5, abs=1e-8)
+
+
+def test_a_part_without_spectra_has_no_level() -> None:
+    """A quarter of the samples are in segments that are shorter than a spectral block."""
+    rng = np.random.default_rng(5)
+    short = [rng.normal(size=(40, 3)) for _ in range(60)]
+    sums = sums_of(rng.normal(size=(3600, 3)), *short, 1.2 * rng.normal(size=(3600, 3)))
+    levels = white_noise_levels(period_spectra(sums))
+    assert not levels.dof.all()
+    low, high = levels.extremes(0)
+    assert 0.8 < low < 1.0 < high < 1.2
 
 
 def test_without_drift_no_innovation_counts() -> None:
