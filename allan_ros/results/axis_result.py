@@ -36,7 +36,7 @@ class AxisResult:
     Attributes
     ----------
     tau0 : float
-        Sample period in s; after `fit` of lists tau and adev, the first averaging time.
+        Sample period in s; after `fit` of lists tau and adev, the shortest averaging time.
     fit : AxisFit
         The fitted coefficients and noise processes, in SI.
     curve : AxisCurve or None
@@ -222,8 +222,8 @@ class AxisResult:
 
         ``adev`` is the Allan deviation of the model, and ``upper`` is the Allan deviation of the
         model with every unresolved term at its 95 % upper limit, if it is known. Both arrays,
-        (factors,), are NaN at short averaging times that the model does not describe, and empty if
-        there is no curve.
+        (factors,), are NaN at short averaging times that the model does not describe, and where the
+        Allan variance of the model is not above 0. They are empty if there is no curve.
         """
         curve = self.curve
         if curve is None:
@@ -262,7 +262,7 @@ def adev(samples: ArrayLike, rate: float = 1.0) -> AxisCurve:
     ------
     AllanError
         When there are fewer than two samples, some are not finite numbers, their array has another
-        shape, or the rate is not positive.
+        shape, or the rate is not positive and finite.
 
     Examples
     --------
@@ -317,7 +317,8 @@ def fit(
     axis : str
         The axis of the curve, such as 'gyro_z', which determines the units of the coefficients.
     record : float, optional
-        Duration of the recording in s; by default nine times the longest averaging time.
+        Duration of the recording in s; by default nine times the longest averaging time used. About
+        four points per octave are used.
 
     Returns
     -------
@@ -326,9 +327,9 @@ def fit(
     Raises
     ------
     AllanError
-        When the axis is unknown, the curve is not a pair of equally long lists with positive tau or
-        has several columns, the curve has too few points, or ``record`` is less than twice the
-        longest averaging time.
+        When the axis is unknown; when the curve has several columns, or is not a pair of equally
+        long lists with positive, finite tau; when fewer than six points can be used; or when
+        ``record`` is not finite, or is less than twice the longest averaging time used.
 
     Examples
     --------
@@ -350,11 +351,14 @@ def fit(
                 f'the curve is not a pair of lists tau and adev ({error}): give these, or an '
                 'AxisCurve'
             ) from None
-        if tau.ndim != 1 or tau.shape != deviation.shape or not len(tau) or not (tau > 0.0).all():
+        is_list = tau.ndim == 1 and tau.shape == deviation.shape and len(tau)
+        if not is_list or not ((tau > 0.0) & np.isfinite(tau)).all():
             raise AllanError(
                 f'tau of shape {tau.shape} and adev of shape {deviation.shape}: give two lists of '
-                'equal length, with positive tau'
+                'equal length, with positive, finite tau'
             )
+        order = np.argsort(tau, kind='stable')
+        tau, deviation = tau[order], deviation[order]
         unknown_limits = np.full(len(tau), np.nan)
         m = np.rint(tau / tau[0]).astype(np.int64)
         counts = np.zeros(len(tau), np.int64)

@@ -170,6 +170,9 @@ def test_a_curve_of_another_tool_is_fitted() -> None:
         axis = ar.fit(given, axis='accel_y', record=600.0)
         assert axis.N.value == pytest.approx(1e-4, rel=0.05)
         assert axis.N.to('m/s/sqrt(h)').unit == 'm/s/sqrt(h)'
+    backward = ar.fit((curve.tau[::-1], curve.adev[::-1]), axis='accel_y', record=600.0)
+    assert backward.tau0 == axis.tau0 and (backward.curve.m == axis.curve.m).all()
+    assert backward.N == axis.N
 
 
 def test_results_are_added() -> None:

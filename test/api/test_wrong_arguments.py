@@ -106,6 +106,7 @@ CALLS = [
     (lambda r: ar.fit(ar.adev(np.ones((9, 2)))), 'the curve has several columns'),
     (lambda r: ar.fit(AxisCurve(*[np.zeros(0)] * 6)), 'the curve has no points'),
     (lambda r: ar.fit(([0.0, 1.0], [1.0, 1.0])), 'give two lists of equal length'),
+    (lambda r: ar.fit((np.r_[TAUS, np.inf], np.r_[TAUS, 1.0])), 'with positive, finite tau'),
     (lambda r: ar.simulate(preset='nope'), 'preset'),
     (lambda r: ar.simulate(low_pas=3.0), 'use low_pass'),
     (lambda r: ar.simulate(-1), 'must lie between 0 and'),
