@@ -49,7 +49,7 @@ WITHOUT_PARAMETERS = ('robot_localization', 'fuse')
 
 
 def target_of(name: str) -> Target:
-    """Return the export target with this name; raise AllanError if the name is unknown."""
+    """Return the export target with this name; raise AllanError if there is no such target."""
     if name in WITHOUT_PARAMETERS:
         raise AllanError(
             f'{name} has no parameters for the noise of an IMU: it reads the covariances of the '
@@ -73,11 +73,12 @@ def target_rows(
     options: ExportOptions = ExportOptions(),
     bias: Mapping[str, float] = {},
 ) -> tuple[Row, ...]:
-    """Return the measured numbers of an export target, for parameters of a running state estimator.
+    """Return the rows of an export target whose number is measured and has a unit.
 
-    ``results``, ``name`` and ``options`` are the same as in `make_export`. ``bias`` is axis -> bias
-    at rest in SI. The gain of a state estimator without a bias state is raised to cover this bias.
-    Leave ``bias`` empty if the bias is subtracted from the samples.
+    The rows are used to set parameters of a running state estimator. ``results``, ``name`` and
+    ``options`` are the same as in `make_export`. ``bias`` is axis -> bias at rest in SI. The gain
+    of a state estimator without a bias state is raised to cover this bias. Leave ``bias`` empty if
+    the bias is subtracted from the samples.
 
     Raises
     ------
@@ -97,9 +98,10 @@ def make_export(
     """Return the configuration file of a state estimator or simulator with the measured noise.
 
     ``name`` is one of `TARGETS`, and ``words`` returns the text of a finding for the header. Raises
-    AllanError when the target is unknown, or the results lack a number or the factors in motion
-    that the file needs. Unless ``options.force`` is set, also raises AllanError when the samples
-    are probably not in SI units, or the recording does not show the noise of the sensor.
+    AllanError when the target is unknown, or the results lack the sample rate, a number or the
+    factors in motion that the file needs. Unless ``options.force`` is set, also raises AllanError
+    when the samples are probably not in SI units, or the recording does not show the noise of the
+    sensor.
     """
     target = target_of(name)
     noise = FilterNoise(results, options, target)

@@ -126,24 +126,27 @@ def madgwick_rows(noise: FilterNoise) -> Iterator[Row]:
     an error because the filter does not estimate it without a magnetometer.
 
     zeta is sqrt(3/4) times the drift of the bias per second. This drift is R if R is resolved on
-    every axis, else K / sqrt(h), because a random walk moves by K sqrt(h) within h.
+    every axis, else K / sqrt(h), because a random walk moves by K sqrt(h) within h. Gain and zeta
+    are written for the axis with the largest value.
     """
     horizon, axes = noise.horizon, noise.axes_of('gyro')
     factors = noise.factors['gyro']
     gains = []
     for axis, result in axes.items():
-        bias, white = noise.bias.get(axis, 0.0), noise.level(axis, 'N')
+        bias, white_level = noise.bias.get(axis, 0.0), noise.level(axis, 'N')
 
-        def gain(model: Model, n: float, bias: float = bias) -> float:
+        def gain(model: Model, density: float, bias: float = bias) -> float:
             drift = math.sqrt(float(model.changed(N=0.0).drift.avar([horizon])[0]))
-            white = n / math.sqrt(horizon)
+            white = density / math.sqrt(horizon)
             return MADGWICK_FACTOR * math.hypot(factors['N'] * white, factors['K'] * drift, bias)
 
         models_at_ends = result.fit.models_at_ends()
-        low, high = map(gain, models_at_ends, white.interval) if models_at_ends else (0.0, math.inf)
-        value = gain(result.fit.model, white.value)
+        low, high = (
+            map(gain, models_at_ends, white_level.interval) if models_at_ends else (0.0, math.inf)
+        )
+        value = gain(result.fit.model, white_level.value)
         estimate = Estimate(
-            value, (low, high), value, white.estimate.status, name='gain', axis=axis
+            value, (low, high), value, white_level.estimate.status, name='gain', axis=axis
         )
         gains.append(FilterLevel(estimate))
     largest_gain = max(gains, key=lambda level: level.value)

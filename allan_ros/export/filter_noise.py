@@ -85,7 +85,7 @@ NOTATIONS = {
     'step_std': Notation('{term} / sqrt(f)', '{bias}', 1.0, -0.5),
     'covariance': Notation('{term}^2', '({density})^2', 2.0),
 }
-"""Name -> notation in which a state estimator expects N or K; `Key.unit` is such a name."""
+"""Name -> notation in which a state estimator expects N or K; `Key.unit` may be such a name."""
 
 
 def notation_of(key: Key) -> Notation:
@@ -132,8 +132,9 @@ class FilterNoise:
 
     The constructor raises AllanError if the results have no sample rate, or if ``options.motion``
     is set and the results have no factors in motion. Unless ``options.force`` is set, it also
-    raises AllanError if a finding in `REFUSED` is present. The methods raise AllanError if an axis
-    that they need is absent, or if a coefficient that they need has neither a value nor a limit.
+    raises AllanError if a finding in `REFUSED` is present. `rows` raises AllanError if an axis or
+    another number of the results that the file needs is absent, or if a coefficient has neither a
+    resolved estimate nor a limit.
 
     Attributes
     ----------
@@ -314,7 +315,10 @@ class FilterNoise:
         return reduced
 
     def findings(self) -> list[Finding]:
-        """Return a list with a warning if N and K cannot describe the error growth of some axes."""
+        """Return a list with a warning if N and K cannot describe the error growth of some axis.
+
+        Otherwise, the list is empty.
+        """
         fits = {axis: self.results.axes[axis].fit for axis in self.used}
         poor_ratios = {
             axis: reduced.ratio[1]

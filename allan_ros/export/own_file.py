@@ -37,7 +37,8 @@ SMALLEST_STD, LARGEST_STD = 1e-30, 1e15
 number is finite."""
 
 COMMENT_PATTERN = re.compile(r'(?m)^\s*(?:#|//).*|(?s:/\*.*?\*/)|"[^"\n]* [^"\n]*"')
-"""Pattern of comments in YAML, Python and JSON, and of quoted strings that contain a space."""
+"""Pattern of lines that begin with # or //, of comments between /* and */, and of quoted strings
+that contain a space. All of these are removed from a file before its numbers are read."""
 
 NUMBER_PATTERN = r'[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?'
 
@@ -55,7 +56,10 @@ class Drift(NamedTuple):
 
     @property
     def ratio(self) -> float:
-        """Measured drift divided by the drift according to the file; infinite if that is 0."""
+        """Measured drift divided by the drift that the file predicts.
+
+        The ratio is infinite if the file predicts no drift.
+        """
         return self.measured / self.file if self.file else math.inf
 
     @property
@@ -82,7 +86,7 @@ def against(
 ) -> tuple[Drift, ...]:
     """Return the drift of each measured axis according to the user's file and to the model.
 
-    An axis without any resolved noise has no drift and is omitted.
+    An axis for which the noise model predicts no drift is omitted.
 
     Parameters
     ----------
@@ -100,9 +104,9 @@ def against(
     Raises
     ------
     AllanError
-        If the text lacks a number of the target, has several values or an invalid value of it, the
-        target has no noise model in its file, or the results contain no noise of an axis in the
-        file; also under the conditions of `FilterNoise`.
+        If the text lacks a number of the target, or contains several values or an invalid value of
+        this number; if the target has no noise model in its file; or if the noise model predicts no
+        drift of any axis. Also under the conditions of the constructor of `FilterNoise`.
     """
     noise = FilterNoise(results, options, target)
     window = noise.horizon

@@ -36,7 +36,14 @@ Value = Any
 
 @dataclass(frozen=True)
 class ExportOptions(CheckedSettings):
-    """Options of the user for an exported file."""
+    """Options of the user for an exported file.
+
+    Raises
+    ------
+    AllanError
+        When a value has a wrong type or lies outside its range, or when both ``inflate`` and
+        ``motion`` are given.
+    """
 
     inflate: str = parameter(
         '1',
@@ -166,7 +173,10 @@ class Row:
 
     @property
     def ratio(self) -> float:
-        """Ratio of the upper to the lower end of the interval; infinite if the lower end is 0."""
+        """Ratio of the upper to the lower end of the interval.
+
+        The ratio is infinite if the lower end is not above 0.
+        """
         low, high = self.interval
         return high / low if low > 0.0 else math.inf
 
@@ -281,7 +291,10 @@ def nested(rows: Sequence[Row]) -> dict[str, Value]:
 
 
 def json_form(rows: Sequence[Row], header: Sequence[str]) -> str:
-    """Return a JSON file. JSON has no comments, so the header is the value of the key allan_ros."""
+    """Return the text of a JSON file, in which the header is the value of the key allan_ros.
+
+    JSON has no comments.
+    """
     # the header is last, because the program that reads the file may expect another key first
     document = {**nested(rows), 'allan_ros': list(header)}
     text = json.dumps(document, indent=INDENT, ensure_ascii=False, allow_nan=False)
@@ -344,7 +357,7 @@ _Dumper.add_representer(
 
 
 def yaml_form(rows: Sequence[Row], header: Sequence[str], first: str = '') -> str:
-    """Return a YAML file that begins with the text ``first``, followed by the header."""
+    """Return the text of a YAML file, which begins with ``first``, followed by the header."""
     yaml_text: str = yaml.dump(
         nested(rows),
         Dumper=_Dumper,

@@ -103,8 +103,8 @@ def analyze_recorded(
 ) -> Results:
     """Fit the Allan sums of one IMU, and return the results.
 
-    Data before a lasting change of the white noise are excluded, unless the settings of the
-    recordings state how much time at the start is excluded.
+    Method 'likelihood' does not fit data before a lasting change of the white noise, unless the
+    settings of the recordings state how much time at the start is excluded.
 
     Parameters
     ----------

@@ -68,8 +68,9 @@ def common_of(recordings: Mapping[str, Recording], settings: SegmenterSettings) 
     Raises
     ------
     AllanError
-        When the recordings have no axis or rate or too little time in common, or one of them cannot
-        be read.
+        When the recordings have no axis or too little time in common, when their rates differ by
+        more than 1 %, when a single recording has at most one axis of each sensor, or when a
+        recording cannot be read.
     """
     samples_of_imus: list[dict[str, Samples]] = []
     findings: dict[str, tuple[Finding, ...]] = {}

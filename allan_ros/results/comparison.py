@@ -28,7 +28,7 @@ class RunComparison:
 
     ``str(comparison)`` has a sentence for each recording except the first, and for each comparison
     with a datasheet. If ``within`` is not 0, a further sentence for each recording except the first
-    states whether it is equal.
+    states whether this recording is equal to the first.
 
     Attributes
     ----------
@@ -210,7 +210,7 @@ class Inflation:
 
     @property
     def option(self) -> str:
-        """Value of the option ``--inflate`` of ``allan export``, such as 'gyro=2.1,accel=3.4'.
+        """Value of the option ``--inflate`` of ``allan export``, such as 'gyro=2.10,accel=3.40'.
 
         Each factor is the largest factor by which motors increase N on an axis of the sensor, and
         at least 1.

@@ -273,13 +273,13 @@ def sheet_to_document(sheet: Datasheet, checks: Sequence[Check], margin: float) 
     ``margin`` is the fraction by which a coefficient may exceed a limit in the checks.
     """
     axes: dict[str, dict[str, Any]] = {}
-    for c in checks:
-        limit = plain(sheet.limits[c.axis][c.quantity])
-        axes.setdefault(c.axis, {})[c.quantity] = {
+    for check in checks:
+        limit = plain(sheet.limits[check.axis][check.quantity])
+        axes.setdefault(check.axis, {})[check.quantity] = {
             'limit': limit.pop('value'),
-            'unit': SI_UNITS[sensor_of(c.axis)][c.quantity],
+            'unit': SI_UNITS[sensor_of(check.axis)][check.quantity],
             **limit,
-            'verdict': c.verdict,
+            'verdict': check.verdict,
         }
     return {
         'name': sheet.name,
@@ -305,8 +305,9 @@ def sheet_from_document(fields: Fields) -> Datasheet:
         terms = axes.fields(axis)
         terms.only(*TERMS)
         for term in terms:
-            f = terms.fields(term)
-            limits.setdefault(axis, {})[term] = f.record(Limit, value=f.number('limit'))
+            limit_fields = terms.fields(term)
+            limit = limit_fields.record(Limit, value=limit_fields.number('limit'))
+            limits.setdefault(axis, {})[term] = limit
     sources_by_key = {key: _source(sources.fields(key)) for key in sources}
     name, maker, remark = (fields.text(key) for key in ('name', 'maker', 'remark'))
     return Datasheet(name, maker, sources_by_key, limits, remark)

@@ -59,10 +59,10 @@ MAX_SETTINGS = 100
 """Largest number of settings in a document, and of items in a setting that is a list."""
 
 FIT = ('m_min', 'filtered', 'white_scatter', 'drift_scatter', 'gof_z', 'lack_of_fit')
-"""Fields of `AxisFit` that are copied to results.json in a row, under the same names."""
+"""Successive fields of an axis in results.json that are copied from `AxisFit`."""
 
 AXIS = ('rounding', 'turn_on', 'temperature', 'at_rest', 'growth')
-"""Fields of `AxisResult` that are copied to results.json in a row, under the same names."""
+"""Successive fields of an axis in results.json that are copied from `AxisResult`."""
 
 DOCUMENT_KEYS = {
     'correlation_time': 'tau',
@@ -75,8 +75,8 @@ DOCUMENT_KEYS = {
 def results_to_document(results: Results, curves: bool = True) -> dict[str, Any]:
     """Return the results as a document ``allan_ros/results/3`` in SI.
 
-    Findings are written as data, without their texts. If ``curves`` is False, the document contains
-    no curves and is much shorter.
+    Findings are written as data. Only findings that the present catalog does not describe have
+    texts. If ``curves`` is False, the document contains no curves and is much shorter.
     """
     return {
         'schema': RESULTS_SCHEMA,

@@ -51,8 +51,8 @@ CAUSE_NAMES = {
 def with_motion(results: Results, drives: Drives) -> Results:
     """Return the results with the noise in motion that follows from the latest drives of a robot.
 
-    If there are too few drives or too little data at rest, the noise in motion is None, and no
-    finding states this.
+    If the drives or the data at rest do not suffice, the noise in motion is None, and no finding
+    states this.
     """
     motion, motion_findings = measure_motion(
         drives, results.axes, results.duration_s, 0.0, hidden=is_hidden(results.findings)

@@ -270,14 +270,15 @@ def _exact(value: float | None) -> tuple[Estimate, str]:
 def used_share(results: Results) -> float | None:
     """Return the number of used samples divided by the number of used, excluded and lost samples.
 
-    Returns None if there are no samples.
+    Interpolated samples count as used, not as lost. Returns None if there are no samples.
     """
-    c = results.provenance.counts
-    excluded = c.skipped + c.other_frame + c.not_finite + c.duplicate + c.backward + c.untimed
-    excluded += c.moving + c.stuck + c.noise_increased + c.noise_decreased
-    excluded += max(c.lost - c.interpolated, 0)
-    total = c.used + excluded
-    return c.used / total if total else None
+    counts = results.provenance.counts
+    excluded = counts.skipped + counts.other_frame + counts.not_finite + counts.untimed
+    excluded += counts.duplicate + counts.backward + counts.moving + counts.stuck
+    excluded += counts.noise_increased + counts.noise_decreased
+    excluded += max(counts.lost - counts.interpolated, 0)
+    total = counts.used + excluded
+    return counts.used / total if total else None
 
 
 def load_plan(path: str | Path) -> Plan:

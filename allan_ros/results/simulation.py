@@ -134,7 +134,7 @@ def stated_noise(
     Raises
     ------
     AllanError
-        When no noise is given, or when a name or coefficient is invalid.
+        When none of the four arguments is given, or when a name or coefficient is invalid.
     """
     noise = NO_NOISE
     if preset:

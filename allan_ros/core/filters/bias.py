@@ -37,8 +37,9 @@ STORED_MEANS = 600
 the noise model changes: 10 min."""
 
 STEP_MEANS, STEP_SIGMA = 30, 6.0
-"""A step of the bias is detected if the sum of the prediction errors of the latest means exceeds
-`STEP_SIGMA` standard deviations of this sum. Sums over 1 to `STEP_MEANS` means are tested."""
+"""A step of the bias is detected if the sum of the prediction errors of the latest means differs
+from 0 by more than `STEP_SIGMA` standard deviations of this sum. Each prediction error is first
+divided by its standard deviation. Sums over 1 to `STEP_MEANS` means are tested."""
 
 
 class BiasModel(NamedTuple):
@@ -54,7 +55,8 @@ class BiasModel(NamedTuple):
         The prior standard deviation of the slope is sqrt(R^2 + s^2), where s is the standard error
         of R. If R is not resolved, s is computed from its upper limit: without a slope, the 95 %
         intervals for the bias 10 min ahead contained the true bias of only 89 to 93 % of simulated
-        sensors. The model has no slope if R has neither an estimate nor a finite limit.
+        sensors. If R is resolved but has no interval, s is 1000 times R. The model has no slope if
+        R has neither an estimate nor a finite limit.
         """
         ramp = fit.noise['R'].magnitude
         value, limit = ramp.value or 0.0, ramp.upper95 or 0.0
@@ -143,7 +145,8 @@ class BiasFilter:
     def pause(self, seconds: float) -> None:
         """Predict the state over a time in s without means, for example during motion.
 
-        Before the first mean, this has no effect.
+        Before the first mean, or if the time is not above 0, this has no effect. Raises AllanError
+        if the time is infinite.
         """
         if self._has_mean and seconds > 0.0:
             self._predict(self._space.transition(seconds), self._space.noise(seconds))
@@ -186,9 +189,9 @@ class BiasTracker:
     def add_means(self, axis: str, end_ns: Sequence[int], values: Sequence[float]) -> None:
         """Add means of an axis over 1 s, and the times in ns at which they end.
 
-        Means that are not later than the latest stored mean are ignored. But if all new means are
-        earlier than the latest stored mean, the time has jumped back. In this case, the stored
-        means are removed, and all new means are used.
+        The new means are in the order of time. New means that are not later than the latest stored
+        mean are ignored. But if the last new mean is earlier than the latest stored mean, the time
+        has jumped back. In this case, the stored means are removed, and all new means are used.
         """
         means = self._means.setdefault(axis, deque(maxlen=STORED_MEANS))
         if means and len(end_ns) and end_ns[-1] < means[-1][0]:

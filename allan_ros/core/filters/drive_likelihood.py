@@ -14,13 +14,14 @@ covariances due to the noise of the sensors as measured at rest, and s_i is the 
 noise is larger in motion. F is the covariance due to white noise in the means at the rests, and due
 to errors of second order.
 
-Each column of U is the effect of one unknown that several drives have in common, times the prior
-standard deviation of this unknown. The unknowns are the bias of the accelerometer, the rotation of
-the Earth and, if they are to be estimated, calibration errors.
+Each column of U is the effect of one unknown that several drives may have in common, times the
+prior standard deviation of this unknown. The unknowns are the bias of the accelerometer, the
+rotation of the Earth and, if they are to be estimated, calibration errors.
 
-The factors s_i maximize the likelihood. The method is Fisher scoring of variance components (H. D.
-Patterson, R. Thompson, Biometrika 1971). With S = I + U' D^-1 U, V^-1 is
-D^-1 - D^-1 U S^-1 U' D^-1, and S^-1 is the posterior covariance of the coefficients of U.
+The factors s_i maximize the product of the likelihood and their prior density. The method is Fisher
+scoring of variance components (H. D. Patterson, R. Thompson, Biometrika 1971). With
+S = I + U' D^-1 U, V^-1 is D^-1 - D^-1 U S^-1 U' D^-1, and S^-1 is the posterior covariance of the
+coefficients of U.
 """
 
 from __future__ import annotations
@@ -251,8 +252,7 @@ class DriveLikelihood:
         Returns
         -------
         DriveFit
-            The result of the last step, even if the search has not converged after `MOST_STEPS`
-            steps.
+            The result of the last accepted step, even if the search has not converged.
         """
         groups = (*groups, *((name,) for name in self.unknown))
         theta = np.zeros(len(groups)) if start is None else start.log_factors
@@ -278,7 +278,7 @@ class DriveLikelihood:
         """Return the scaled covariance of each group of noise, as a list, and their sum D.
 
         All arrays are (drives, 9, 9). The sum also contains the noise in no group, and the
-        covariance F. ``log_factors`` are the logarithms of the scales s_i^2.
+        covariance F. ``log_factors`` are the logarithms of s_i^2.
         """
         zero = np.zeros_like(self.own)
         scaled = [
@@ -358,8 +358,9 @@ class DriveLikelihood:
         """Return the rotation error and the velocity error of each drive, relative to predictions.
 
         The result is (drives, 2). The fitted effects of the accelerometer bias and of the rotation
-        of the Earth are subtracted from the errors. The predicted root mean square error consists
-        of the noise at rest, and of the drift that the rests do not show, with its fitted size.
+        of the Earth are subtracted from the errors. The predicted root mean square error contains
+        the noise at rest, the errors of second order, and the drift that the rests do not show,
+        with its fitted size.
         """
         errors = self.y - self.common @ fit.mean[: self.common.shape[2]]
         log_factors_at_rest = np.where(
@@ -376,7 +377,7 @@ class DriveLikelihood:
 
 
 def _second_order(drive: DriveErrors) -> Floats:
-    """Return the size of the residuals, (9,), that are of second order in the rotation error.
+    """Return the size of the part of each residual, (9,), that is quadratic in the rotation error.
 
     A rotation error psi moves the vector of gravity g by psi g to first order, and by psi^2 g / 2
     to second order. The rotation residual determines psi at the end of the drive, and the velocity

@@ -45,7 +45,7 @@ class Growth:
         Time in s before the correction, over which the bias was averaged.
     std : Estimate
         Predicted standard deviation of the error, in the unit of the samples times s. The estimate
-        has no interval if a term of the model has neither an interval nor a limit.
+        has no interval if N, B, K or R of the model has neither an interval nor a limit.
     """
 
     horizon: float
@@ -96,7 +96,7 @@ def growth_table(
             Growth(float(horizon), window, Estimate(float(value))) for horizon, value in zip(h, std)
         )
     low, high = (model_at_end.drift for model_at_end in end_models)
-    high = high.changed(**{t: high.value(t) or fit.limit(t) for t in 'NBKR'})
+    high = high.changed(**{term: high.value(term) or fit.limit(term) for term in 'NBKR'})
     parts = [model_at_end.growth_variances(h, window) for model_at_end in (model, low, high)]
     zero = np.zeros(len(h))
     total, distance_below, distance_above, scatter = zero, zero, zero, zero

@@ -62,7 +62,7 @@ share of its prior standard deviation."""
 NoisePart = Literal['all', 'white', 'slow']
 
 WITH_COMMON_FACTOR = ('gyro_white', 'gyro_slow'), ('accel_white', 'accel_slow')
-"""Names of the noise that has a common factor: of the gyro, and of the accelerometer."""
+"""For each sensor, the names of the covariances that one common factor multiplies."""
 
 
 @dataclass(frozen=True)
@@ -212,8 +212,8 @@ def axis_noise(model: Model, tau0: float, limits: Mapping[str, float] = {}) -> N
     Parameters
     ----------
     model : Model
-        Resolved noise. If it contains no drift, a drift of unknown size within ``limits`` is
-        assumed.
+        Resolved noise, which must include white noise. If the model contains no drift, a drift of
+        unknown size within ``limits`` is assumed.
     tau0 : float
         Sample period in s.
     limits : mapping of 'B' or 'K' to float
@@ -224,9 +224,11 @@ def axis_noise(model: Model, tau0: float, limits: Mapping[str, float] = {}) -> N
     -------
     NoiseAtRest
     """
-    white, sigma = model.value('N'), 0.0
+    white, log_power_std = model.value('N'), 0.0
     drift_parts = [
-        p for p in model.drift.parts if not (p.process.is_white or p.process.is_regressor)
+        part
+        for part in model.drift.parts
+        if not (part.process.is_white or part.process.is_regressor)
     ]
     if not drift_parts:
         walk = white * math.sqrt(3.0) / DRIFT_S
@@ -239,9 +241,9 @@ def axis_noise(model: Model, tau0: float, limits: Mapping[str, float] = {}) -> N
         )
         low = min(1.0, high) / SPREAD
         drift_parts = list(
-            Model.of(**{n: x * math.sqrt(low * high) for n, x in typical_drift.items()}).parts
+            Model.of(**{term: x * math.sqrt(low * high) for term, x in typical_drift.items()}).parts
         )
-        sigma = math.log(high / low) / LIMIT  # standard deviation of the logarithm of the power
+        log_power_std = math.log(high / low) / LIMIT
     else:
         unresolved = {name: TYPICAL_SHARE * limit for name, limit in limits.items() if limit}
         drift_parts += Model.of(**unresolved).parts
@@ -251,10 +253,10 @@ def axis_noise(model: Model, tau0: float, limits: Mapping[str, float] = {}) -> N
     ]
 
     def gamma(M: float, j: ArrayLike) -> Floats:
-        values = (variance * unit.gamma(max(M / tau0, 1.0), j) for variance, unit in slow)
+        values = (variance * process.gamma(max(M / tau0, 1.0), j) for variance, process in slow)
         return np.asarray(sum(values, np.zeros(np.shape(j))))
 
-    return NoiseAtRest(white, gamma, sigma)
+    return NoiseAtRest(white, gamma, log_power_std)
 
 
 def noise_in_motion(
@@ -301,7 +303,8 @@ def _with_causes(
 ) -> tuple[DriveFit, dict[str, float]]:
     """Return the fit with all causes, and a dict: cause -> increase of 2 log L by this cause.
 
-    The causes are added one by one, as long as the next cause increases 2 log L by `GAIN_CAUSE`.
+    The causes are added one by one, as long as the next cause increases 2 log L by at least
+    `GAIN_CAUSE`.
     The dict also contains a rotation that a matrix has replaced.
     """
     best, gains = fit_without_causes, {}

@@ -128,7 +128,7 @@ class Reduction(NamedTuple):
     # smallest and largest ratio, over the compared horizons, of the root mean square error that the
     # reduced-order model predicts to the root mean square error that the complete model predicts
     ratio: tuple[float, float]
-    # N, and K if the model has a random walk, with their intervals; empty if the model did not come
+    # N, and possibly K, with their intervals (see `reduce_axis`); empty if the model did not come
     # from the fit of an axis
     levels: Mapping[str, FilterLevel]
 
@@ -158,8 +158,8 @@ def reduce_model(model: Model, states: States = 'walk', horizon: float = HORIZON
         Bias states of the state estimator. They determine which parameters are increased (see
         Notes).
     horizon : float
-        Longest horizon in s. The shortest horizon is 1 s, or a tenth of the longest horizon if this
-        is shorter.
+        Longest horizon in s, above 0. The shortest horizon is 1 s, or a tenth of the longest
+        horizon if this is shorter.
 
     Returns
     -------
@@ -274,7 +274,7 @@ def closest_process(
     kind : function of float
         Returns the process with a given correlation time in s.
     horizon : float
-        Longest horizon in s.
+        Longest horizon in s, above 0.
     tau : float, optional
         Correlation time of the process in s. If it is None, the best correlation time is selected.
     bound : bool
@@ -323,7 +323,7 @@ def axis_level(axis: str, fit: AxisFit, term: str) -> FilterLevel:
     Parameters
     ----------
     axis : str
-        Name of the axis in messages.
+        Name of the axis, for messages and for the estimate that is returned.
     fit : AxisFit
         Fit of the axis.
     term : str
@@ -358,28 +358,29 @@ def reduce_axis(
     Parameters
     ----------
     axis : str
-        Name of the axis in messages.
+        Name of the axis, for messages and for the estimates in ``levels``.
     fit : AxisFit
         Fit of the axis.
     states : {'none', 'walk', 'processes'}
         States with which the state estimator models the bias (see `reduce_model`).
     horizon : float
-        Longest time in s that the state estimator integrates without a correction.
+        Longest time in s, above 0, that the state estimator integrates without a correction.
 
     Returns
     -------
     Reduction
-        ``levels`` are N and, if the model has a random walk or K was added, K. With 'none' and
-        'walk', the interval of an increased value comes from the reduced-order models of two
-        complete models: one with all coefficients at the lower ends of their 95 % intervals, and
-        one with all coefficients at the upper ends. The interval is unknown with 'processes', or if
-        a term of the model has neither an interval nor a limit. An increase of up to 0.1 % does
-        not count.
+        ``levels`` are N and, if the reduced-order model has a random walk or K was added, K. With
+        'none' and 'walk', the interval of an increased value comes from the reduced-order models of
+        two complete models: one with all coefficients at the lower ends of their 95 % intervals,
+        and one with all coefficients at the upper ends. The interval is unknown with 'processes',
+        or if N, B, K or R of the model has neither an interval nor a limit. An upper limit of N
+        that was increased remains an upper limit. An increase of up to 0.1 % does not count.
 
     Raises
     ------
     AllanError
-        When N, or K where it is added, has neither a resolved estimate nor a limit.
+        When N, or K where it is added, has neither a positive resolved estimate nor a positive
+        finite limit.
     """
     white, walk = axis_level(axis, fit, 'N'), None
     model = fit.model.changed(N=white.value)
@@ -389,11 +390,11 @@ def reduce_axis(
     if not model.has_drift or (states == 'walk' and not reduction.model.value('K')):
         walk = axis_level(axis, fit, 'K')
         reduction = reduce_model(model.changed(K=walk.value), states, horizon)
-    n, k = reduction.model.value('N'), reduction.model.value('K')
-    raises_walk = walk is None and k > 1.001 * resolved_walk
-    raises_white = n > 1.001 * white.value
-    if walk is None and k > 0.0:
-        walk = FilterLevel(Estimate(k, fit.noise['K'].ci95, name='K', axis=axis))
+    reduced_white, reduced_walk = (reduction.model.value(term) for term in 'NK')
+    raises_walk = walk is None and reduced_walk > 1.001 * resolved_walk
+    raises_white = reduced_white > 1.001 * white.value
+    if walk is None and reduced_walk > 0.0:
+        walk = FilterLevel(Estimate(reduced_walk, fit.noise['K'].ci95, name='K', axis=axis))
     if raises_walk or raises_white:
         end_models = fit.models_at_ends() if states in ('none', 'walk') else None
         end_reductions = [
@@ -401,13 +402,11 @@ def reduce_axis(
         ]
         if walk is not None and raises_walk:
             measured = resolved_walk if fit.noise['K'].status == 'estimated' else 0.0
-            walk = walk.raised(
-                k, measured, _range(k, [end_model.value('K') for end_model in end_reductions])
-            )
+            walk_ends = [end_model.value('K') for end_model in end_reductions]
+            walk = walk.raised(reduced_walk, measured, _range(reduced_walk, walk_ends))
         if raises_white:
-            white = white.raised(
-                n, white.value, _range(n, [end_model.value('N') for end_model in end_reductions])
-            )
+            white_ends = [end_model.value('N') for end_model in end_reductions]
+            white = white.raised(reduced_white, white.value, _range(reduced_white, white_ends))
     return reduction._replace(levels={'N': white, **({'K': walk} if walk else {})})
 
 
@@ -427,7 +426,7 @@ def measure_inflation(
     rest, running : mapping of axis name to AxisFit
         Fits of two recordings of a robot at rest, with motors off and with motors on.
     horizon : float
-        Longest time in s that the state estimator integrates without a correction.
+        Longest time in s, above 0, that the state estimator integrates without a correction.
 
     Returns
     -------
@@ -437,8 +436,7 @@ def measure_inflation(
     Raises
     ------
     AllanError
-        When the fits have no axis in common, or if N, or K of an axis without another random walk,
-        has neither a resolved estimate nor a limit.
+        When the fits have no axis in common, or N or K of an axis is unknown (see `reduce_axis`).
     """
     common = [axis for axis in rest if axis in running]
     if not common:

@@ -55,10 +55,11 @@ class StateSpace:
     white : float
         Density N of the white noise, in the unit of the samples per sqrt(Hz).
     walk : float
-        Density K of the random walk in SI. If it is 0, the state of the walk is a constant bias.
+        Density K of the random walk in SI. If it is 0 and there is no slope, the state of the
+        random walk is a constant bias.
     processes : tuple of (coefficient, Process)
-        Other processes with `Process.states`, in SI. The coefficient of most processes is the
-        stationary standard deviation in the unit of the samples.
+        Other processes, in SI; `Process.states` of each process must return states. The coefficient
+        of most processes is the stationary standard deviation in the unit of the samples.
     slope : bool
         Whether the last state is a constant slope of the random walk.
     """
@@ -89,7 +90,7 @@ class StateSpace:
         Raises
         ------
         AllanError
-            When the step is not positive and finite.
+            When the step is not positive and finite, or a process has no states.
         """
         phi = np.eye(self.size)
         for _, process, rows in self._blocks:
@@ -105,7 +106,7 @@ class StateSpace:
         Raises
         ------
         AllanError
-            When the step is not positive and finite.
+            When the step is not positive and finite, or a process has no states.
         """
         q = np.zeros((self.size, self.size))
         q[0, 0] = self.white**2 * _checked(dt)
@@ -155,7 +156,8 @@ def _integrated(process: Process, dt: float) -> tuple[Floats, Floats]:
     The first state is the integral of the process, the other states are the states of the process.
     The matrices of a short step follow from a matrix exponential (C. F. van Loan, IEEE Trans.
     Automatic Control 23, 1978). Then the step is doubled repeatedly. Each doubling adds positive
-    matrices, so that no digits are lost. During the computation, the unit of time is ``dt``.
+    semidefinite matrices, so that no digits are lost. During the computation, the unit of time is
+    ``dt``.
     """
     from scipy.linalg import expm  # slow to import
 
@@ -241,8 +243,8 @@ def flicker_processes(
 def white_density(process: Process) -> float:
     """Return the density N of the white noise that a process with the coefficient 1 resembles.
 
-    The process resembles white noise at times that are long compared with its correlation time. The
-    unit of the density is sqrt(s). Raises AllanError if the process has no states.
+    The process must have a correlation time. At times that are long compared with this correlation
+    time, the process resembles white noise. Raises AllanError if the process has no states.
     """
     states = _states(process)
     gain = np.linalg.solve(-states.dynamics.T, states.output)

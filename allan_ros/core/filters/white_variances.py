@@ -63,8 +63,9 @@ def white_variances(
 def white_ratio(axes: Mapping[str, AxisFit], horizon: float) -> float:
     """Return the largest ratio, over all axes, of the upper to the lower end of the interval of N.
 
-    N is increased for a ``horizon`` in s as in `white_variances`. The ratio is infinite if the
-    lower end is 0, or if a term of the model of an axis has neither an interval nor a limit.
+    N is increased for a ``horizon`` in s, above 0, as in `white_variances`. The ratio is infinite
+    if the lower end is 0, or if N, B, K or R of the model of an axis has neither an interval nor a
+    limit.
     """
     ratios = [1.0]
     for fit in axes.values():
@@ -92,7 +93,7 @@ def scaled_variances(
 def cover_bias(
     variances: dict[str, Variances], bias: Mapping[str, Estimate], messages: float
 ) -> dict[str, Variances]:
-    """Return the variances, in which the variances of the gyro are increased to cover the bias.
+    """Return ``variances`` with the variances of the gyro increased to cover the bias.
 
     ``messages`` is the number of samples that a state estimator integrates; less than 1 counts as
     1. From the increased variances, the state estimator computes a variance of the integral that
