@@ -33,8 +33,8 @@ from .timing import has_time
 
 BACKWARD_RUN = 16
 """If this many consecutive samples have stamps earlier than the latest stamp, the clock was set
-back; soon after another such jump, more samples are required (`JUMP_DISTANCE`). The samples before
-the last of these samples are excluded."""
+back; soon after another such jump, more samples are required (`JUMP_DISTANCE`). All but the last of
+these samples are excluded."""
 
 JUMP_DISTANCE = 4096
 """If the clock is set back within this number of samples after the start or after the last time,
@@ -66,8 +66,8 @@ MOST_COVERED = 256
 def unit_of_stamps(stamps: Stamps) -> str:
     """Return the unit of one or more integer stamps, (n,): 'us', 'ms' or 'ns'.
 
-    The unit is 'us' or 'ms' if the stamps in this unit are times since 1970 (`EPOCH_S`), and their
-    median step is above 0 and at most `SLOWEST_S`. Otherwise, the unit is 'ns'.
+    The unit is 'us' or 'ms' if the stamps in this unit are times since 1970 (`EPOCH_S`), and the
+    median magnitude of their steps is above 0 and at most `SLOWEST_S`. Otherwise, the unit is 'ns'.
 
     >>> import numpy as np
     >>> unit_of_stamps(1_700_000_000_000_000 + 5000 * np.arange(9))
@@ -144,7 +144,7 @@ class StampSorter:
     """
 
     def __init__(self, stamps: Stamps = np.empty(0, np.int64)) -> None:
-        """Learn the sample period from the first stamps, (n,), in ns."""
+        """Learn from the first stamps, (n,), in ns, up to which delay samples are sorted."""
         self.sorted = 0
         places = min(len(stamps) - 1, REORDER)
         sorted_stamps = np.sort(stamps)
@@ -184,7 +184,7 @@ class StampSorter:
         return is_after_latest and bool((stamps[1:] >= stamps[:-1]).all())
 
     def _take(self, number: int) -> ImuBatch:
-        """Remove the first ``number`` samples, and return them, sorted as far as possible."""
+        """Remove and return the first ``number`` buffered samples, sorted as far as possible."""
         stamps, rows = self._pending.stamps_ns, self._pending.rows
         if number < 1:
             return self._pending.part(slice(0))
@@ -209,7 +209,7 @@ def are_ordered(samples: ImuBatch) -> bool:
     """Return whether the stamps of samples advance and are in order after sorting.
 
     `StampSorter` sorts the samples. Then at most `DISORDERED_SHARE` of the stamps may be earlier
-    than the previous stamp. The result is True for a single sample.
+    than the previous stamp. The result is True for fewer than two samples.
 
     >>> import numpy as np
     >>> stamps = np.arange(100) * 10**7
@@ -227,14 +227,14 @@ class CoveredTime:
     """Excludes samples whose time is already covered, as when a recording is played again.
 
     ``covered`` lists the stretches of time that earlier data cover: (first, last) stamp in ns. Each
-    sample covers the time since the previous stamp, if this time is at most `NEAR_NS`. A sample
-    with the stamp of the previous sample is kept if the previous sample is kept. At most
+    kept sample covers the time since the previous stamp, if this time is at most `NEAR_NS`. A
+    sample with the stamp of the previous sample is kept if the previous sample is kept. At most
     `MOST_COVERED` stretches are stored. ``dropped`` is the number of excluded samples.
     """
 
     def __init__(self, covered: Sequence[tuple[int, int]] = ()) -> None:
         self.dropped = 0
-        self._stretches = [[first, last] for first, last in covered]
+        self._stretches = [[first, last] for first, last in covered[-MOST_COVERED:]]
         # first and last stamp, in ns, of the covered stretch that contains the latest sample
         self._present = [NEVER_NS, NEVER_NS]
         self._was_new = False  # whether the latest sample was kept
@@ -276,10 +276,11 @@ class CoveredTime:
 class SampleFilter:
     """Selects the axes of a sensor stream, and excludes samples that cannot be used.
 
-    Samples of the kind ``plan.drop`` ('repeated' or 'zero'), samples that are not finite,
-    duplicates, and samples with backward stamps (`BACKWARD_RUN`) are excluded. A duplicate has the
-    stamp and the values of the previous sample. The stamps of the remaining samples decrease only
-    where the clock was set back. ``counts`` is updated in place.
+    Samples of the kind ``plan.drop`` ('repeated' or 'zero'), samples with a value that is not
+    finite or of a magnitude above `LARGEST`, duplicates, and samples with backward stamps
+    (`BACKWARD_RUN`) are excluded. A duplicate has the stamp and the values of the previous sample.
+    The stamps of the remaining samples decrease only where the clock was set back. ``counts`` is
+    updated in place.
     """
 
     def __init__(self, plan: SensorPlan, counts: Counts) -> None:

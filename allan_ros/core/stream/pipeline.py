@@ -50,7 +50,7 @@ class Present(NamedTuple):
     """State of a stream, known faults of its latest samples, and noise of each axis.
 
     ``noise`` maps each axis to the standard deviation of its white noise in the unit of the
-    samples.
+    samples. It is empty if the noise is not known, as in a motion.
     """
 
     state: State
@@ -77,15 +77,16 @@ class Accumulation:
 class ImuStream:
     """Accumulates the Allan sums of one stream of IMU samples.
 
-    The sums are the same, bit for bit, however the samples are divided into batches: all decisions
-    depend only on the positions of samples counted from the start of the stream, with a fixed
-    look-ahead. ``hardware_id`` identifies the IMU if the user states it. ``sensor`` is 'gyro' or
-    'accel' if the other sensor is in another stream; this stream then ignores the values of the
-    other sensor. ``with_samples`` also keeps all samples at rest in memory, ``with_drives`` keeps
-    the errors of the latest drives between two rests, and ``with_means`` keeps the latest means
-    over one second. With ``covered``, each time is counted once for each frame_id, as far as
-    `CoveredTime` stores the earlier times: samples are excluded if earlier samples cover their
-    time, or if their time is in one of the stretches ``covered``, (first, last) stamp in ns.
+    The sums are the same, bit for bit, however the samples are divided into batches: each decision
+    is made at a position that is counted from the first sample, with a fixed look-ahead.
+    ``hardware_id`` identifies the IMU if the user states it. ``sensor`` is 'gyro' or 'accel' if the
+    other sensor is in another stream; this stream then ignores the values of the other sensor.
+    ``with_samples`` also keeps all samples at rest in memory, ``with_drives`` keeps the errors of
+    the latest drives between two rests, and ``with_means`` keeps the latest means over one second.
+
+    With ``covered``, each time is counted once for each frame_id, as far as `CoveredTime` stores
+    the earlier times: samples are excluded if earlier samples cover their time, or if their time is
+    in one of the stretches ``covered``, (first, last) stamp in ns.
     """
 
     def __init__(
@@ -135,11 +136,12 @@ class ImuStream:
         return tuple(s.means for s in self._present.sensors if s.means is not None)
 
     def samples(self) -> dict[str, tuple[Stamps, Floats]]:
-        """Return axis -> stamps in ns and values of all samples at rest, (n,) each, after `end`.
+        """Return axis -> stamps in ns, (n,), and values, (n,), of all samples at rest, after `end`.
 
-        The samples have the frame_id with the most data, come after the last change of the rate and
-        the end of a fault of the first samples, and belong to the noise level that is the result.
-        The result is empty unless ``with_samples`` was set.
+        The values are in the unit of the received samples. The samples have the frame_id with the
+        most data, come after the last change of the rate and the end of a fault of the first
+        samples, and belong to the noise level that is the result. The result is empty unless
+        ``with_samples`` was set.
         """
         kept = [(s.axes, joined(s.kept)) for s in self._most_used.sensors if s.kept]
         return {
@@ -150,16 +152,16 @@ class ImuStream:
 
     @property
     def _most_used(self) -> FrameStream:
-        """The stream of the frame_id with the most data."""
+        """The stream of the frame_id with the most used samples."""
         return max(self._frames.values(), key=lambda f: f.counts.used, default=self._present)
 
     def drives(self) -> Drives:
         """Return the latest drives between two rests; empty unless ``with_drives`` was set.
 
-        The drives have the frame_id with the most data and the latest sample rate. There are none
-        if an axis is absent, if gyro and accelerometer have different rates or are in different
-        streams, or if motion detection is switched off. Before `end`, a drive is included when its
-        second rest is over or long enough.
+        The drives have the frame_id with the most data and the latest sample rate that is known.
+        There are none if an axis is absent, if gyro and accelerometer have different rates or are
+        in different streams, or if motion detection is switched off. Before `end`, a drive is
+        included when its second rest is over or long enough.
         """
         recorders = [s.recorder for s in self._most_used.sensors if s.recorder is not None]
         if not recorders:
@@ -177,11 +179,10 @@ class ImuStream:
     def present_health(
         self, sums: tuple[AllanSums, ...]
     ) -> tuple[StreamHealth, tuple[Finding, ...]]:
-        """Return state and findings; new sums are computed only while the noise floor is learned.
+        """Return the present health and findings; once the noise floor is known, without new sums.
 
-        Otherwise, this is faster than `result`. ``sums`` are the sums of an earlier `result`.
-        Except for ``received``, the counts do not include samples that are not classified yet,
-        unless the state is 'waiting' or 'learning'.
+        ``sums`` are the sums of an earlier `result`. Unless the state is 'waiting' or 'learning',
+        samples that are not classified yet are counted neither as used nor as excluded.
         """
         present = self._present.present
         if present.state not in ('waiting', 'learning'):
@@ -191,7 +192,7 @@ class ImuStream:
         return ended._health(self._state_with(ended), sums)
 
     def _at_end(self) -> ImuStream:
-        """Return the stream as if the input ended here."""
+        """Return a copy of the stream, as if the input ended here."""
         ended = copy.deepcopy(self)
         ended.end()
         return ended
@@ -323,7 +324,7 @@ class FrameStream:
 
     @property
     def state(self) -> State:
-        """State of the first sensor stream, or 'noise_increased' if any stream is in this state.
+        """State of the first sensor stream; 'noise_increased' if any sensor stream has this state.
 
         Without a sensor stream, the state is 'learning' if samples are buffered, else 'waiting'.
         """
@@ -349,7 +350,7 @@ class FrameStream:
 
     @property
     def repeated(self) -> int:
-        """Number of samples whose time earlier samples cover."""
+        """Number of samples that were excluded because their time was covered already."""
         return 0 if self._covered is None else self._covered.dropped
 
     @property

@@ -56,7 +56,10 @@ class RunningMeans:
         self._open: list[Floats] = []  # samples of the incomplete second
 
     def update(self, stamps: Stamps, rows: Floats) -> None:
-        """Add samples without a gap: stamps in order, (n,), in ns, and values, (axes, n)."""
+        """Add samples without a gap: stamps in order, (n,), in ns, and values, (axes, n).
+
+        At least one sample is required. A second without samples has no mean.
+        """
         if self._start_ns is None:
             self._start_ns = int(stamps[0])
         last_second = int(stamps[-1] - self._start_ns) // NANOSECONDS
@@ -189,7 +192,7 @@ class SensorStream:
         return 'learning' if len(self.clock.pending) else 'waiting'
 
     def by_rate(self) -> list[StreamSums]:
-        """Return the sums at the present sample rate and at the earlier rate with the most data.
+        """Return the sums at the earlier sample rate with the most data, and at the present rate.
 
         If both rates are equal, the sums are added. Sums without samples are omitted, and the
         present sums also if their samples come from two IMUs and there are earlier sums.

@@ -80,8 +80,8 @@ They differ because the driver rounds its results."""
 def clipped_share(samples: Floats) -> float:
     """Return the share of samples, (n,), that are clipped at their maximum or minimum.
 
-    It is the larger of the two shares. A share below `MIN_CLIPPED` is returned as 0. Samples that
-    are not finite are ignored, and the maximum or minimum 0 does not count as clipped.
+    `CLIPPED_RATIO` defines when a maximum or minimum is clipped. The larger of the two shares is
+    returned, or 0 if it is below `MIN_CLIPPED`. Samples that are not finite are ignored.
 
     >>> import numpy as np
     >>> noise = np.random.default_rng(0).normal(size=1000)
@@ -123,8 +123,8 @@ def extreme_shares(rows: Floats) -> Floats:
 def clipped_shares(rows: Floats) -> Floats:
     """Return the share of the samples of each row, (..., n), that are clipped, (...).
 
-    A row contains samples of one axis. A share below `MIN_CLIPPED` is returned as 0, and also the
-    share of a row in which fewer samples equal the maximum or minimum without a rounding error.
+    A row contains samples of one axis. The share is computed by `clipped_share`, but it is 0 if the
+    samples that equal the maximum or the minimum exactly have a share below `MIN_CLIPPED`.
     """
     shares = np.zeros(rows.shape[:-1])
     # the common case: all rows together have too few samples at either extreme for one clipped row
@@ -178,14 +178,15 @@ class Clipping:
 
 ALTERNATE_SIGMAS, ALTERNATE_AXES = 8.0, 2
 """The samples alternate between two IMUs if the means of the even and of the odd samples differ by
-more than the first number of standard deviations, and by more than `SEPARATION_STEPS` steps of the
-resolution, on at least the second number of axes. A single IMU may alternate by one step, because
-some sensors carry the remainder of a rounded value over to the next value."""
+more than the first number of standard deviations of the difference, and by more than
+`SEPARATION_STEPS` steps of the resolution, on at least the second number of axes. A single IMU may
+alternate by one step, because some sensors carry the remainder of a rounded value over to the next
+value."""
 
 SWITCH_SHARE, SEPARATION, SEPARATION_STEPS = 0.25, 8.0, 1.5
 """The samples of an axis come from two IMUs if a wide gap divides the values into a low and a high
-group. The gap must be wider than the second number of standard deviations of either group, and
-wider than the third number of steps of the resolution. More than the first share of the differences
+group. The gap must be wider than the second number of standard deviations of each group, and wider
+than the third number of steps of the resolution. More than the first share of the differences
 between successive samples must cross the gap."""
 
 
@@ -258,9 +259,10 @@ def plan_sensors(first: ImuBatch, only: str = '') -> tuple[list[SensorPlan], lis
 
 
 def zeros_and_repeats(sensor: str, axes: tuple[str, ...], rows: Floats) -> list[Finding]:
-    """Return a finding if samples of a sensor, (axes, n), are zero or repeat the previous sample.
+    """Return a list with a finding if many samples of a sensor, (axes, n), are zero or repeated.
 
-    Either all values are zero, or many samples are zero or repeated on all axes.
+    The finding states that all values are zero, or which share of the samples is zero, or repeats
+    the previous sample, on all axes.
     """
     is_zero = rows == 0.0
     if is_zero.all():
@@ -329,9 +331,9 @@ def _repeat_together(plans: list[SensorPlan], repeats: Flags) -> bool:
 def _are_repeated(values: Floats) -> bool:
     """Return whether samples, (axes, n), repeat the previous sample more often than by chance.
 
-    If all equal samples are in one part of the data, this part has less noise, and the samples are
-    not repeats. The number of samples that are equal by chance is estimated from the samples that
-    differ from the previous sample, but equal the sample before the previous sample.
+    If all equal samples are in one part of the data, the noise of this part is smaller, and the
+    samples are not repeats. The number of samples that are equal by chance is estimated from the
+    samples that differ from the previous sample, but equal the sample before the previous sample.
     """
     repeats_value = values[:, 1:] == values[:, :-1]
     is_repeat = repeats_value.all(axis=0)

@@ -62,16 +62,16 @@ CAUSES_OF_LOSS = ('messages_lost', 'silent_s', 'stamps_leapt', 'frame_changed', 
 
 EXCUSED = 10
 """An event of `CAUSES_OF_LOSS` explains missing samples until `TransportMonitor.observe` was called
-this number of times with usable samples."""
+this number of times with new usable samples."""
 
 STARTUP_S = 5.0
 """Time in s after the start during which missing messages are not reported, because the discovery
 of publishers takes time."""
 
 STUCK_S, STUCK_RUNS = 1.0, 20
-"""An axis is stuck if its value has not changed for `STUCK_S` seconds, and for `STUCK_RUNS` times
-as many samples as in its longest earlier run of equal values. Earlier runs in which the axis was
-stuck do not count."""
+"""An axis is stuck if its value has not changed for more than `STUCK_S` seconds, and for more than
+`STUCK_RUNS` times as many samples as in its longest earlier run of equal values. Earlier runs in
+which the axis was stuck do not count."""
 
 
 @dataclass
@@ -155,7 +155,12 @@ class Arrivals:
         self._latest = largest_stamp, last_received
 
     def _judge(self, stamp: float, received_s: float, lost: int) -> None:
-        """Count the interruption or the step of the clock that explains a gap in the stamps."""
+        """Count an interruption and a forward step of the clock, if a gap in the stamps shows them.
+
+        ``stamp`` and ``received_s`` are the stamp and the time of reception in s of the message
+        after the gap. ``lost`` is the number of messages that were lost since the last call of
+        `update`.
+        """
         assert self._latest is not None
         silent_s = received_s - self._latest[1]
         first_received_s, offset = self._offsets[0]
@@ -214,7 +219,7 @@ def faults_of(findings: Iterable[Finding], axis: str = '') -> tuple[Finding, ...
 
 
 class TransportMonitor:
-    """Reports the current problems of the live input ``topic``.
+    """Reports the present and recent problems of the live input ``topic``.
 
     ``time_s`` is the time of a steady clock in s. In the constructor, it is the time of the start.
     """
@@ -231,7 +236,7 @@ class TransportMonitor:
         self._absent = 0  # number of missing samples without a known cause that are reported
 
     def set_received(self, time_s: float, messages: int) -> None:
-        """Store the number of messages since the start, and the time when it last increased."""
+        """Store the number of messages since the start, and the time when it last changed."""
         if messages != self._messages:
             self._last_message, self._messages = time_s, messages
 
@@ -257,8 +262,8 @@ class TransportMonitor:
         ``transport`` and ``health`` contain the counts since the start. ``publishers`` are the
         names of the publishing nodes. ``stream`` are the findings about the complete stream.
         ``graph`` are findings about publishers with an incompatible type or QoS. If there are none,
-        missing messages are reported after ``stale_after`` s without a message, but not in the
-        first `STARTUP_S`.
+        missing messages are reported after ``stale_after`` s without a message. Before the first
+        message, they are not reported in the first `STARTUP_S`.
         """
         self._update(time_s, transport, health)
         present = [*graph] or self._silence(time_s, transport, publishers, stale_after)

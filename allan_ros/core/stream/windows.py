@@ -60,8 +60,8 @@ class Windows:
 def idle_share(rows: Floats, size: int) -> Floats:
     """Return the share of idle samples in windows of ``size`` samples, (k,).
 
-    ``rows`` are the samples of one sensor, (axes, n). A sample is idle if all axes are zero or
-    repeat the previous sample.
+    ``rows`` are the samples of one sensor, (axes, n); samples after the last complete window are
+    ignored. A sample is idle if it is zero on all axes, or repeats the previous sample on all axes.
     """
     number = rows.shape[1] // size
     first_axis, *other_axes = rows[:, : number * size]
@@ -95,9 +95,9 @@ def von_neumann_ratio(parts: Iterable[Floats]) -> Floats:
     """Return the von Neumann ratio per axis, (axes,): 1 for white noise, near 0 for slow motion.
 
     The ratio is half the mean square of the differences between neighboring samples, divided by the
-    variance. Each part, (axes, n), is a sequence of samples without a gap. The ratio of constant
-    samples is NaN, or 0 if their mean is rounded. Source: J. von Neumann, Annals of Mathematical
-    Statistics 12 (1941), 367.
+    variance within the parts. Each part, (axes, n), is a sequence of samples without a gap. The
+    ratio of constant samples is NaN, or 0 if their mean is rounded. Source: J. von Neumann, Annals
+    of Mathematical Statistics 12 (1941), 367.
     """
     parts = list(parts)
     differences = sum((np.diff(rows, axis=1) ** 2).sum(axis=1) for rows in parts)
@@ -110,7 +110,7 @@ class WindowClass(NamedTuple):
     """Classification of k windows; each field is an array of flags, (k,)."""
 
     moving: Flags  # the window is not at rest: in motion, stuck, decreased, or foreign
-    quiet: Flags  # the noise is below the limits at which a motion ends
+    quiet: Flags  # the window is at rest, and its noise is below the limits at which a motion ends
     stuck: Flags  # an axis with much smaller noise repeats one value
     decreased: Flags  # the noise of an axis is much smaller than the noise floor
     foreign: Flags  # the samples are not measurements in the units of the noise floor
@@ -138,7 +138,10 @@ class WindowPart(NamedTuple):
 
 
 class RecentWindows:
-    """Consecutive windows in one or several parts, between which gaps are possible."""
+    """Consecutive windows in one or several parts, between which gaps are possible.
+
+    Except for ``samples`` and ``still``, the properties require at least one window.
+    """
 
     def __init__(self, parts: tuple[WindowPart, ...] = ()) -> None:
         self._parts = parts
@@ -167,7 +170,7 @@ class RecentWindows:
 
     @property
     def rows(self) -> Floats:
-        """The samples of all windows, (axes, n), in the unit of the messages."""
+        """The samples of all windows, (axes, n), in the unit of the received samples."""
         return _concatenated([part.samples.rows for part in self._parts])
 
     @property
@@ -193,7 +196,7 @@ class RecentWindows:
 
     @property
     def is_steady(self) -> bool:
-        """Whether all windows are at rest, or would be if the gyro had another bias."""
+        """Whether all windows are quiet, or would be quiet if the gyro had another bias."""
         found = self.found
         return bool((found.quiet | found.rotating).all())
 
@@ -217,5 +220,5 @@ class RecentWindows:
 
 
 def _concatenated(arrays: Sequence[NDArray[Any]]) -> NDArray[Any]:
-    """Return at least one array, concatenated along the last dimension; one array is not copied."""
+    """Concatenate one or more arrays along the last dimension; a single array is not copied."""
     return arrays[0] if len(arrays) == 1 else np.concatenate(arrays, axis=-1)

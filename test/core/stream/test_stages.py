@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from allan_ros.core.imu import ImuBatch, joined
 from allan_ros.core.stream.cleaning import (
     LONGEST_REPEAT,
+    MOST_COVERED,
     NEAR_NS,
     CoveredTime,
     RepeatFilter,
@@ -45,6 +46,11 @@ def test_the_time_of_a_gap_is_not_covered(chunk):
     late, early = range(5 * NEAR_NS, 5 * NEAR_NS + 50), range(50)
     assert new_times([*late, *early, *late], chunk) == [*late, *early]
     assert new_times([*early, 10**12, *range(50, 90)], chunk) == [*early, 10**12, *range(50, 90)]
+
+
+def test_only_the_latest_covered_stretches_are_stored():
+    covered = [(i * 10**11, i * 10**11 + 9) for i in range(MOST_COVERED + 1)]
+    assert new_times([0, 5, 3 * 10**11 + 5], 2, covered) == [0, 5]
 
 
 def test_equal_stamps_are_kept():
