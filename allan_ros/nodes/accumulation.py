@@ -296,7 +296,8 @@ class ImuWatch(NodePart):
         self._latest_ns: int | None = None
         self._result = self._stream.result()
         self._sums: tuple[AllanSums, ...] = ()  # sums of this run and of earlier runs of the node
-        self._outdated = True  # whether samples were added since `_result` was computed
+        # whether `_result` must be computed again, because samples were added since then
+        self._outdated = True
         self._events = ()
 
     def _update(self) -> None:
@@ -318,7 +319,10 @@ class ImuWatch(NodePart):
     # --- output of Allan sums ---------------------------------------------------------------------
 
     def _total(self) -> Total:
-        """Return the sums and the provenance of all samples, also from earlier runs of the node."""
+        """Return the sums and the provenance of the samples of this run and of earlier runs.
+
+        Earlier runs of the node count only if their sums in the checkpoint can be continued.
+        """
         if self._outdated:
             self._result, self._outdated = self._stream.result(), False
         result, name = self._result, self._node.get_fully_qualified_name()

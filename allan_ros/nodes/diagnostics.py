@@ -98,7 +98,7 @@ VALUELESS = re.compile(r':=(?=\W|$)(?!\{)')
 def node_text(found: Finding) -> str:
     """Return the text of a finding, with ROS parameters in place of the options in `PARAMETERS`.
 
-    Other command line options stay.
+    Other command line options stay, without the command before them.
 
     Examples
     --------
@@ -234,7 +234,7 @@ class AxisView:
     """Content of the status of one axis.
 
     ``sums`` are the Allan sums that contain the axis, or None before the first static data.
-    ``result`` and ``fit_age_s`` are None before the first fit. ``problems`` are findings about
+    ``result`` and ``fit_age_s`` are None without a noise model. ``problems`` are findings about
     faults of the input, a failed fit or an invalidated model. ``comparisons`` are checks against
     the datasheet and earlier results. ``margin`` is the fraction by which a coefficient may exceed
     its limit, or the noise level may change, without a warning. ``step`` is the change of the noise
@@ -341,7 +341,7 @@ def _change_findings(view: AxisView) -> list[Finding]:
 def _dominant_term(view: AxisView, tau: float) -> str:
     """Return the name of the part of the model with the largest Allan deviation at ``tau`` in s.
 
-    The name is '' before the first static data and before the first fit.
+    The name is '' without static data or without a noise model.
     """
     if view.result is None or view.sums is None or not view.sums.tau0:
         return ''
@@ -372,7 +372,7 @@ def _summary(view: AxisView, static_s: float, next_term: str) -> str:
 def _next_term(view: AxisView) -> str:
     """Return a text such as 'B and K need 2 h at rest'; '' if more data are not useful.
 
-    The text is also '' before the first fit, and for other methods than 'likelihood'.
+    The text is also '' without a noise model, and for other methods than 'likelihood'.
     """
     if view.result is None or view.method != 'likelihood':
         return ''
@@ -402,8 +402,8 @@ def motion_status(
 ) -> DiagnosticStatus:
     """Return the status of the errors in motion of one IMU.
 
-    ``drives`` are the latest drives. ``results`` contain the factors in motion, and are None before
-    the first noise model. A factor in motion is the error in motion divided by its prediction from
+    ``drives`` are the latest drives. ``results`` contain the factors in motion, and are None
+    without a noise model. A factor in motion is the error in motion divided by its prediction from
     the noise at rest. If the 95 % interval of a factor lies above ``limit``, there is a warning.
     """
     unused = sum(drives.unused.values())

@@ -57,8 +57,9 @@ from .node_settings import EstimatorSettings, home_of
 from .shell import LATCHED, Worker
 
 FIT_SHARE = 0.05
-"""Share of one CPU core that the fits of one IMU use at most, unless a fit is slow
-(`LONGEST_WAIT_S`) or requested by the service. The share determines the pause after a fit."""
+"""Largest share of one CPU core that the fits of one IMU should use. The share determines the pause
+after a fit. There is no pause before a fit that the service requests or that follows an
+invalidation. The pause after a slow fit is shorter (`LONGEST_WAIT_S`)."""
 
 LONGEST_WAIT_S = 20.0
 """Longest pause in s after a fit. After a slow fit, this pause is kept, although fits then use more
@@ -246,7 +247,10 @@ class ImuEstimate(NodePart):
             self._fitting = self._worker.submit(partial(_drive_factors, self._results, drives))
 
     def _has_changed(self, sums: tuple[AllanSums, ...]) -> bool:
-        """Return whether a sensor has enough more samples than at the last fit, or fewer."""
+        """Return whether the number of samples of a sensor has changed enough since the last fit.
+
+        The number must have grown by the fraction ``estimator.growth``, or decreased.
+        """
         growth = 1.0 + self._settings.value.growth
         fitted_samples = {s.axes: s.samples for s in self._fitted}
 

@@ -23,9 +23,9 @@ SCHEMA = 'allan_ros/former_values/1'
 class Former:
     """The value that a parameter had before it was set, and the values that were sent since then.
 
-    ``found`` is the former value. ``sent`` contains the values that the parameter may have now: one
-    value, or two values if the node has not answered yet whether it accepts the second one. It is
-    empty if no value was sent.
+    ``found`` is the former value. ``sent`` contains the sent values that the parameter may have
+    now: one value, or two values if the node has not answered yet whether it accepts the second
+    one. It is empty if no value was sent.
     """
 
     found: Numbers

@@ -288,8 +288,8 @@ class ImuInput:
     def publishers(self) -> tuple[tuple[str, ...], tuple[Finding, ...]]:
         """Return the names of the nodes that publish on the topic, and findings.
 
-        A finding reports publishers whose messages cannot be received because of another message
-        type or an incompatible QoS.
+        A finding reports that all publishers have another message type, or that an Imu publisher
+        has an incompatible QoS.
         """
         endpoints = self._node.get_publishers_info_by_topic(self.topic)
         return tuple(map(full_name, endpoints)), self._mismatches(endpoints)

@@ -73,7 +73,7 @@ class LivePage:
 
     A report is rendered when a browser requests it, unless it is still cached. ``port`` is the TCP
     port; 0 selects a free one. Raises AllanError if the port cannot be used, for example because it
-    is in use.
+    is in use or above 65535.
     """
 
     def __init__(self, node: Node, port: int) -> None:
@@ -83,9 +83,10 @@ class LivePage:
         self._subscriptions: dict[str, Any] = {}
         try:
             self._server = _Server((HOST, port), _handler_of(self))
-        except OSError as error:
+        except (OSError, OverflowError) as error:
+            reason = error.strerror if isinstance(error, OSError) else error
             raise AllanError(
-                f'port {port} cannot be used ({error.strerror}): give another port with --web PORT'
+                f'port {port} cannot be used ({reason}): give another port with --web PORT'
             ) from error
         self._thread = threading.Thread(target=self._server.serve_forever, daemon=True)
         self._thread.start()

@@ -71,7 +71,7 @@ class Snapshot:
 
     @property
     def sums(self) -> tuple[AllanSums, ...]:
-        """A tuple with one `AllanSums` of all axes, or several, as if rates or topics differ.
+        """The `AllanSums` of all axes: one, or several if the sample rates or topics differ.
 
         The tuple is empty before the first static data.
         """

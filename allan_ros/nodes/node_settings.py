@@ -19,9 +19,9 @@ from ..core.settings import CheckedSettings, SegmenterSettings, fixed_parameter,
 from ..readers.files import expanded
 
 SETTLED_RATIO = 1.5
-"""Largest ratio of the upper to the lower end of the 95 % interval of a number that is given to a
-state estimator. Numbers from a short recording are upper limits, which fall by orders of magnitude
-when the recording becomes longer."""
+"""Largest ratio of the upper to the lower end of the 95 % interval of a number that is set in a
+state estimator; a relay reports a larger ratio. Numbers from a short recording are upper limits,
+which fall by orders of magnitude when the recording becomes longer."""
 
 
 def home_of(label: str) -> str:
@@ -251,7 +251,11 @@ class PushSettings(CheckedSettings):
         False, 'Whether the driver removes the gyro bias; if true, gains are computed without it.'
     )
     period: float = parameter(
-        300.0, 'Shortest time between two changes of parameters.', 's', 0.1, 604800.0
+        300.0,
+        'Shortest time between two changes of parameters; found values are restored at once.',
+        's',
+        0.1,
+        604800.0,
     )
 
     def __post_init__(self) -> None:

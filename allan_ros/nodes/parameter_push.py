@@ -66,7 +66,7 @@ RETRY_S = 1.0
 is available."""
 
 CLOSING_S = 0.5
-"""Longest time in s to wait for the answers of the other node while this node ends."""
+"""Longest time in s of each of the two attempts to restore values while this node ends."""
 
 LONGEST_REASON = 200
 """Largest number of shown characters of the reason that a node gives for a refusal."""
@@ -94,7 +94,7 @@ class ParameterPush(NodePart):
     """Sets parameters of the node ``push.node`` when the noise model has changed enough.
 
     The parameters ``push.*`` are declared in the node ``owner``. Without ``push.node``, nothing is
-    set. Raises AllanError if the file of ``push.filter`` cannot be read.
+    set. Raises AllanError if the file of ``push.filter`` cannot be read or is invalid.
     """
 
     def __init__(self, owner: AllanNode) -> None:

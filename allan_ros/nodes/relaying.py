@@ -65,8 +65,9 @@ default is 5 ms). A library function that does not let other threads run may del
 longer."""
 
 MODEL_GRACE_S = 120.0
-"""Time in s after the start from which a missing noise model is always a warning. Before this time,
-it is a warning only if the relay passes on covariances of zero."""
+"""Time in s after the start from which a missing noise model is a warning, unless covariances come
+from a datasheet. Before this time, it is a warning only if the relay passes on covariances of
+zero."""
 
 DISCOVERY_S = 5.0
 """Time in s after the start from which a missing publisher of the noise model is a warning."""
@@ -132,8 +133,8 @@ def bias_in_model(results: Results) -> dict[str, Estimate]:
 class ModelInput:
     """Receives the topics ``noise_model`` and ``bias`` of an estimator in another process.
 
-    After each message, ``listener`` is called with the latest noise model and the latest bias,
-    unless no noise model has been received yet.
+    After each readable message, ``listener`` is called with the latest noise model and the latest
+    bias, unless no noise model has been received yet.
     """
 
     def __init__(self, node: AllanNode) -> None:
@@ -221,7 +222,8 @@ class ImuRelay(NodePart):
         # variances of the noise model without the bias, and the values from which they are computed
         self._measured: dict[str, Variances] = {}
         self._measured_of: tuple[object, ...] = None, None
-        # upper end of the 95 % interval of N, divided by the lower end; 1 without a horizon
+        # largest ratio of the upper to the lower end of the 95 % interval of an N that covers the
+        # drift over the horizon; 1 without a horizon
         self._ratio = 1.0
         qos_options = QoSOverridingOptions.with_default_policies()
         self._publisher = node.create_publisher(

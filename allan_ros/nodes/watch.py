@@ -169,8 +169,8 @@ def document(rows: Sequence[StatusRow]) -> str:
 class Watch(Node):
     """Node that displays the latest status of each name on `/diagnostics`.
 
-    Only statuses with 'allan' in their name, or with keys of an allan_ros node, are displayed, and
-    with ``--node`` only statuses of this node.
+    Only statuses with 'allan' in their name, or with keys of an allan_ros node, are displayed. With
+    ``--node``, only statuses of this node, or of the nodes in this namespace, are displayed.
     """
 
     def __init__(self, options: argparse.Namespace, stop: threading.Event) -> None:
@@ -261,8 +261,8 @@ class Watch(Node):
     def _show(self, hint: str) -> None:
         """Show the latest statuses, or ``hint`` if there is none.
 
-        In a terminal, the table is drawn again. Otherwise, each new status and each status whose
-        level has changed is printed.
+        In a terminal, the table is drawn again. With ``--plain`` or without a terminal, each new
+        status and each status whose level has changed is printed.
         """
         rows = self._rows()
         if self._live:

@@ -114,6 +114,8 @@ def test_a_port_in_use_is_one_line(node: Node) -> None:
         port = taken.getsockname()[1]
         with pytest.raises(AllanError, match=f'port {port} cannot be used'):
             LivePage(node, port)
+    with pytest.raises(AllanError, match='port 70000 cannot be used'):
+        LivePage(node, 70000)
 
 
 def test_a_browser_follows_a_live_monitor(graph, still_imu, browser: Chromium) -> None:
