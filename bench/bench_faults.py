@@ -9,7 +9,7 @@ Simulated messages pass the stages of a node without ROS. A fault begins at boot
 later. The four numbers of a cell state for how many percent of the seeds
 
 - a finding names the fault within 10 s,
-- no warning or error remains 30 s after the fault has ended,
+- from 30 s after the end of the fault on, there is no warning or error and the state is "at rest",
 - N of every axis is right at the end,
 - at least 90 % of the good data are used.
 
@@ -56,7 +56,8 @@ LASTING_S = 180
 
 NAMED_S, HEALED_S, USED_SHARE = 10.0, 30.0, 0.9
 """Goals: longest time in s from the start of a fault to a finding that names it, longest time in s
-from the end of the fault to the last warning, and least share of the good data that is used."""
+from the end of the fault to the last second with a warning, an error or another state than at rest,
+and least share of the good data that is used."""
 
 RIGHT, N_SIGMAS, N_ERROR = 0.03, 4.5, 0.1
 """Largest errors of N that count as right.
@@ -453,7 +454,7 @@ class Outcome:
     ----------
     named_s, healed_s : float or None
         Time from the start of the fault to a finding that names it, and from the end of the fault
-        to the last warning or error.
+        to the last second with a warning, an error or another state than at rest.
     error : float or None
         Largest error of N of all axes, divided by the largest error that is permitted.
     used : float or None

@@ -425,7 +425,7 @@ TO_COMPLETE = (
     '# and, under the key gyro, accel or an axis:',
     '#   K: {upper: 60, unit: deg/h^1.5}',
     '#   bias: {lower: -0.5, upper: 0.5, unit: deg/s, at: 25}',
-    '#   drift: {upper: 0.05, unit: deg/s}  # largest minus smallest mean of 1/16 of the data',
+    '#   drift: {upper: 0.05, unit: deg/s}  # largest minus smallest of up to 16 means',
     '#   temperature_drift: {lower: -0.01, upper: 0.01, unit: deg/s/K}',
     '#   bandwidth: {lower: 40, unit: Hz}',
 )

@@ -48,6 +48,8 @@ def test_a_running_monitor_has_statuses_in_every_group(graph, still_imu, viewers
         ('allan_estimator: os_imu accel x', 'Accelerometers'),
         ('allan_estimator: sums', 'Inputs and nodes'),
         ('a/b/allan_imu_relay: relay', 'Inputs and nodes'),
+        ('allan_monitor: in motion', 'Inputs and nodes'),
+        ('robot1/allan_monitor: left in motion', 'Inputs and nodes'),
         ('allan_monitor: parameters of /imu_filter_madgwick', 'Inputs and nodes'),
         ('robot1/imu_watcher: left imu_link gyro z', 'Gyroscopes'),
         ('imu_watcher: node', 'Inputs and nodes'),
