@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ..errors import AllanError
 from ..estimate import lies_beyond
 from .curve import edf, noise_types_of_avar
-from .grid import LEVEL_FACTORS, allan_variance
+from .grid import allan_variance
 from .periods import add_padded
 from .sums import AllanSums
 
@@ -51,7 +51,7 @@ class NoiseStep:
     ci95 : (low, high)
         95 % interval of the ratio.
     since_s : float
-        Time in s from the last step to the end of the latest recording.
+        Time in s from the last step to the end of the latest recording, without gaps.
     """
 
     tau: float
@@ -120,7 +120,7 @@ def noise_steps(sums: AllanSums, window_s: float) -> dict[str, NoiseStep]:
     begins = begins[periods_before - 1 :]
     if len(begins) < 2 or not factors:
         return {}
-    m = sums.m[:factors]
+    m, stride = sums.m[:factors], sums.stride[:factors]
     total_count = np.maximum(count.sum(axis=0), 1)
     avar = allan_variance(sum_sq.sum(axis=0), m, total_count)
     noise_types = noise_types_of_avar(m, np.where(avar > 0.0, avar, np.nan), sums.samples)
@@ -128,31 +128,33 @@ def noise_steps(sums: AllanSums, window_s: float) -> dict[str, NoiseStep]:
     for i, axis in enumerate(sums.axes):
         edf_per_difference = np.array(
             [
-                edf(int(alpha), int(factor), max(1, int(factor) // LEVEL_FACTORS[0]), int(n)) / n
-                for alpha, factor, n in zip(noise_types[:, i], m, total_count)
+                edf(int(alpha), int(factor), int(factor_stride), int(n)) / n
+                for alpha, factor, factor_stride, n in zip(
+                    noise_types[:, i], m, stride, total_count
+                )
             ]
         )
         first_and_last_step = _steps(count * edf_per_difference, sum_sq[:, :, i])
         if first_and_last_step is None:
             continue
-        first, last, k = first_and_last_step
+        first, last, factor_index = first_and_last_step
         sides = slice(first), slice(last, None)
-        difference_counts = [float(count[side, k].sum()) for side in sides]
+        difference_counts = [float(count[side, factor_index].sum()) for side in sides]
         variance_before, variance_after = (
-            sum_sq[side, k, i].sum() / (2.0 * float(m[k]) ** 2 * n)
+            sum_sq[side, factor_index, i].sum() / (2.0 * float(m[factor_index]) ** 2 * n)
             for side, n in zip(sides, difference_counts)
         )
-        nu = edf_per_difference[k] * np.array(difference_counts)
+        edf_before, edf_after = edf_per_difference[factor_index] * np.array(difference_counts)
         ratio = variance_after / variance_before
-        low, high = (math.sqrt(ratio / fdtri(nu[1], nu[0], q)) for q in (0.975, 0.025))
+        low, high = (math.sqrt(ratio / fdtri(edf_after, edf_before, q)) for q in (0.975, 0.025))
         since_s = (latest.samples - begins[last]) * sums.tau0
-        tau, adev_before = float(m[k] * sums.tau0), math.sqrt(variance_before)
+        tau, adev_before = float(m[factor_index] * sums.tau0), math.sqrt(variance_before)
         steps[axis] = NoiseStep(tau, adev_before, math.sqrt(ratio), (low, high), since_s)
     return steps
 
 
 def _steps(degrees: Floats, squares: Floats) -> tuple[int, int, int] | None:
-    """Return indices: of the period after the first step, after the last step, and of the factor.
+    """Return the indices of the periods after the first and the last step, and of the factor.
 
     ``degrees`` are the degrees of freedom, and ``squares`` are the sums of squares, of each period
     and averaging factor, (rows, factors). The first step is the most significant step at all
@@ -179,14 +181,14 @@ def _step_ratios(degrees: Floats, squares: Floats) -> Floats:
     ``degrees`` and ``squares`` are cumulative sums over the periods, (rows, ...). The result is
     -inf where the data before or after the step are too few or constant.
     """
-    nu = degrees, degrees[-1] - degrees, degrees[-1]
+    edfs = degrees, degrees[-1] - degrees, degrees[-1]
     sums = squares, squares[-1] - squares, squares[-1]
     with np.errstate(invalid='ignore', divide='ignore'):
         deviance_before, deviance_after, deviance_without_step = (
-            n * np.log(p / n) for n, p in zip(nu, sums)
+            n * np.log(total / n) for n, total in zip(edfs, sums)
         )
         doubled_log_ratio = deviance_without_step - deviance_before - deviance_after
     has_enough_data = (
-        (nu[0] >= MIN_STEP_EDF) & (nu[1] >= MIN_STEP_EDF) & (sums[0] > 0.0) & (sums[1] > 0.0)
+        (edfs[0] >= MIN_STEP_EDF) & (edfs[1] >= MIN_STEP_EDF) & (sums[0] > 0.0) & (sums[1] > 0.0)
     )
     return np.where(has_enough_data, doubled_log_ratio, -np.inf)

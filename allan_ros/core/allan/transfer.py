@@ -77,7 +77,8 @@ def transfer(parts: Sequence[Floats]) -> Transfer:
     The leak is the share of the common signal in differences of sensors (`Transfer`). ``parts`` are
     samples without gaps in any unit, each (sensors, n). The factors are 1 if the share of the
     common signal in the differences is below `LARGEST_LEAK` without factors, if the factors do not
-    reduce this share, or if there are too few samples; in the last case, the leak is 0.
+    reduce this share, if the samples of a sensor are constant, or if there are too few samples; in
+    the last case, the leak is 0.
     """
     unit_gains = np.ones(len(parts[0]) if parts else 0)
     if not len(unit_gains):
@@ -159,12 +160,16 @@ def _intercept(x: Floats, y: Floats) -> float:
 def _gains(spectra: Spectra) -> Floats:
     """Return the factor g of each sensor, (sensors,), with the geometric mean 1.
 
+    The factors are 1 if the samples of a sensor are constant.
+
     With three or more sensors, the factors follow from the products g_i g_j (one-factor model). Two
     sensors have the spectra g_i^2 S + N_i and the cross spectrum g_i g_j S. The slope of a spectrum
     over the cross spectrum is g_i/g_j, if S varies with the frequency.
     """
     sensor_count = spectra.shape[1]
     gains = np.ones(sensor_count)
+    if not np.einsum('faa->fa', spectra).all():  # constant samples
+        return gains
     if sensor_count == 2:
         cross_spectrum = np.maximum(spectra[:, 0, 1].real, 0.0)
         auto_spectra = [spectra[:, i, i].real for i in range(2)]

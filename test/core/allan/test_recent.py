@@ -4,10 +4,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from scipy.special import fdtri
 from support.sums import TICK_NS
 
+from allan_ros.core.allan.curve import edf
 from allan_ros.core.allan.recent import noise_steps
 from allan_ros.core.allan.running import RunningSums
 from allan_ros.core.errors import AllanError
@@ -80,6 +84,32 @@ def test_an_earlier_recording_belongs_to_the_earlier_data():
         found = noise_steps(total, 3600.0)['gyro_x']
         assert found.beyond(0.2) and found.ratio == pytest.approx(1.5, rel=0.02)
         assert found.since_s == pytest.approx(100.0, abs=3.0)
+
+
+def test_the_interval_takes_the_stride_of_the_differences_into_account():
+    """At the averaging factor 24, differences start 2 samples apart. Only this factor has data."""
+    sums = Stream().play(900).play(300, 1.5).engine.sums
+    is_kept = sums.m == 24
+    periods = tuple(
+        replace(
+            p,
+            count=np.where(is_kept[: len(p.count)], p.count, 0),
+            sum_sq=np.where(is_kept[: len(p.count), None], p.sum_sq, 0.0),
+        )
+        for p in sums.recordings[0].periods
+    )
+    found = noise_steps(
+        replace(sums, recordings=(replace(sums.recordings[0], periods=periods),)), 600.0
+    )['gyro_x']
+    assert found.tau == pytest.approx(24 * TAU0)
+    index = list(sums.m).index(24)
+    total = int(sums.count[index])
+    after = round(found.since_s / TAU0) / 2
+    edf_after, edf_before = (
+        edf(0, 24, 2, total) * share for share in (after / total, 1.0 - after / total)
+    )
+    low, high = (fdtri(edf_after, edf_before, q) ** -0.5 for q in (0.975, 0.025))
+    assert found.ci95 == pytest.approx((found.ratio * low, found.ratio * high), rel=1e-3)
 
 
 def test_short_recordings_are_not_compared():

@@ -74,6 +74,14 @@ def test_too_few_samples_are_not_tested() -> None:
     assert transfer([]).is_equal
 
 
+def test_the_factors_are_1_if_a_sensor_has_constant_samples() -> None:
+    rng = np.random.default_rng(4)
+    common = np.cumsum(rng.normal(size=SAMPLES)) / 5.0
+    own = rng.normal(size=(2, SAMPLES))
+    found = transfer([np.array([np.zeros(SAMPLES), common + own[0], 1.5 * common + own[1]])])
+    assert (found.gains == 1.0).all() and not found.is_equal
+
+
 def test_the_cross_spectra_of_parts_are_their_mean() -> None:
     y = np.random.default_rng(3).normal(size=(2, 128 * 100))
     both, number = cross_spectra([y, y])
