@@ -35,7 +35,7 @@ HALF_POWER = 0.5
 SMOOTHED_BINS, LEAST_DOF = 5, 40.0
 """Number of neighboring bins of which the median power is taken, and fewest degrees of freedom of
 each of these bins. With these numbers, the median power of white noise is below `HALF_POWER` with a
-probability of 1e-6."""
+probability of about 4e-6."""
 
 
 NEGLIGIBLE_STEP = 0.02
@@ -82,8 +82,9 @@ class AtRest:
         are known for fewer than four means.
     bandwidth : float or None
         Frequency in Hz up to which the noise density, as a median over five bins, is at least
-        0.71 N; half of the sample rate if it is nowhere lower. None if N or the spectrum is
-        unknown, or if the density is below 0.71 N already at the lowest frequencies.
+        0.71 N; half of the sample rate if the density is nowhere lower. None if N is unknown or 0,
+        if fewer than five bins have enough spectral blocks, or if the density is below 0.71 N
+        already at the lowest frequencies.
     """
 
     mean: Signed
@@ -143,10 +144,11 @@ class TurnOnBias:
         Mean of the biases of the recordings (the means of their samples), in the unit of the
         samples.
     scatter : Estimate
-        Standard deviation of the biases, after the variance of the noise was subtracted. The
-        standard deviation is not resolved if the noise alone may explain the differences of the
-        means. In that case, an upper limit is given instead, or no limit if the differences are
-        improbably small even for the noise alone. The interval assumes normally distributed biases.
+        Standard deviation of the biases in the unit of the samples, after the variance of the noise
+        was subtracted. The standard deviation is not resolved if the noise alone may explain the
+        differences of the means. In that case, an upper limit is given instead, or no limit if the
+        differences are improbably small even for the noise alone. The interval assumes normally
+        distributed biases.
     """
 
     recordings: int
@@ -193,7 +195,7 @@ def turn_on_bias(means: Floats, variance: float = 0.0) -> TurnOnBias | None:
 
 
 def equal_blocks(sums: AllanSums, most: int) -> tuple[int, list[tuple[int, int, Floats]]]:
-    """Return a length of blocks in samples, and the means of each segment over such blocks.
+    """Return a block length in samples, and the means of each segment over blocks of this length.
 
     Each item of the list contains the index of the recording of a segment, the stamp of the first
     sample of the segment in ns, and the means, (blocks, axes), in the unit of the samples. Segments
@@ -244,10 +246,10 @@ def _slope(celsius: Floats, values: Floats) -> Estimate | None:
 
 
 def _bandwidth(spectra: Spectra, i: int, white: float | None, tau0: float | None) -> float | None:
-    """Return the frequency in Hz up to which the density is at least half the density N^2.
+    """Return the frequency in Hz up to which the power spectral density is at least N^2/2.
 
     ``i`` is the index of the axis, and ``white`` is N of this axis in SI. Returns None if the
-    frequency is unknown.
+    frequency is unknown (`AtRest.bandwidth`).
     """
     if not white or not tau0:
         return None
@@ -293,8 +295,9 @@ def rounding_step(sums: AllanSums, axis: int, white: float) -> float | None:
 def step_of_sums(sums: AllanSums, axis: int, deviation: float) -> float | None:
     """Return the step of which the sums of samples of an axis are multiples, or None.
 
-    Only the cumulative sums at the ends of the blocks of the longest segment are used.
-    ``deviation`` is the standard deviation of the white noise of a sample.
+    The sums are cumulative sums at the ends of the blocks of the longest segment. The first sample
+    of the recording is subtracted from all samples. ``deviation`` is the standard deviation of the
+    white noise of a sample.
     """
     if not sums.means:
         return None
@@ -307,7 +310,7 @@ def common_step(phase: Floats, deviation: float) -> float | None:
     """Return the largest step of which all phase values are multiples, or None if there is none.
 
     None is also returned if there are fewer than `LEAST_POINTS` different numbers, or if
-    ``deviation`` is not above 0. If the samples are rounded, the result is the rounding step.
+    ``deviation`` is not above 0.
 
     ``phase``, (n,), contains cumulative sums of samples. ``deviation`` is the standard deviation of
     the white noise of a sample: steps below `NEGLIGIBLE_STEP` times ``deviation`` are ignored. All

@@ -195,7 +195,7 @@ class _Rows(NamedTuple):
 class _Layout(NamedTuple):
     """Rows of several octaves in a matrix that has one row for each axis and half block."""
 
-    octaves: list[_Rows]  # without octaves whose half blocks are longer than all points
+    octaves: list[_Rows]  # only octaves of which at least one half block is complete
     firsts: Ints  # (octaves * axes,) row of the first half block of each octave and axis
     lasts: Ints  # (octaves * axes,) row of the last half block of each octave and axis
 
@@ -229,8 +229,8 @@ class _RunningLevel:
     """State of one level of the cascade in the current segment: the latest points and half blocks.
 
     ``points`` contains the last `_KEPT` points of earlier blocks, then the first ``fill`` points of
-    the current block. There is one row for each axis, and a last row with the number
-    of interpolated samples in each point.
+    the current block. There is one row for each axis, and a last row with the number of
+    interpolated samples in each point.
     """
 
     def __init__(self, level: int, rows: int) -> None:
@@ -317,10 +317,10 @@ def _group_sums(
 ) -> _GroupSums:
     """Return the power of the spectral blocks of a group of octaves that end in n points.
 
-    ``samples``, (axes, n), are the points of a level: samples or sums over samples. Each ``part``
-    points have separate sums. ``interpolated``, (n,), is the number of interpolated samples in each
-    point; None if no sample is interpolated. ``previous_halves`` are the last half blocks before
-    the points.
+    ``samples``, (axes, n), are the points of a level: samples or sums over samples. The power is
+    summed separately for every ``part`` points. ``interpolated``, (n,), is the number of
+    interpolated samples in each point; None if no sample is interpolated. ``previous_halves`` are
+    the last half blocks before the points.
     """
     octave_count, axes, columns = previous_halves.first_products.shape
     layout, last = _layout(octaves, *samples.shape), previous_halves.copy()
@@ -404,16 +404,18 @@ def _second_differences(points: Floats, summed: int, level: CascadeLevel) -> tup
     factors = level.factors
     squares = np.zeros((len(part_ends), 2 * len(factors), axes))
     numbers = np.zeros((len(part_ends), 2 * len(factors)), np.int64)
-    for i, (f, sums) in enumerate(zip(factors, _sums_over(factors, x, *work))):
-        size = max(x.size - 2 * f + 1, 0)
-        np.subtract(sums[f : f + size], sums[:size], out=d[:size])
-        begin = first = _KEPT - min(summed, 2 * f - 1)
+    for i, (factor, sums) in enumerate(zip(factors, _sums_over(factors, x, *work))):
+        size = max(x.size - 2 * factor + 1, 0)
+        np.subtract(sums[factor : factor + size], sums[:size], out=d[:size])
+        begin = first = _KEPT - min(summed, 2 * factor - 1)
         for part, end in enumerate(part_ends):
-            next_begin = max(end - 2 * f + 1, first)  # first difference that ends after this part
+            # first difference that ends after this part
+            next_begin = max(end - 2 * factor + 1, first)
             squares[part, i] = _squares(d_by_axis[:, begin:next_begin])
             numbers[part, i] = next_begin - begin
             begin = next_begin
-        non_overlapping = d_by_axis[:, first + -(summed - _KEPT + first) % f : begin : f]
+        first_non_overlapping = first + -(summed - _KEPT + first) % factor
+        non_overlapping = d_by_axis[:, first_non_overlapping:begin:factor]
         numbers[0, len(factors) + i] = non_overlapping.shape[1]
         squares[0, len(factors) + i] = _squares(non_overlapping)
     return squares, numbers
@@ -422,21 +424,22 @@ def _second_differences(points: Floats, summed: int, level: CascadeLevel) -> tup
 def _sums_over(
     factors: tuple[int, ...], x: Floats, pairs: Floats, scratch: Floats
 ) -> Iterator[Floats]:
-    """Yield the sums over f neighboring points x, (n - f + 1,), for ascending factors f.
+    """Yield the sums over f neighboring points x, (n - f + 1,), for each of the factors f.
 
-    The factors must be 1, 3 or even. The work arrays ``pairs`` and ``scratch``, (n,), are
-    overwritten. A yielded array is valid only until the next array is yielded.
+    The factors must be ascending, and each must be 1, 3 or even. The work arrays ``pairs`` and
+    ``scratch``, (n,), are overwritten. A yielded array is valid only until the next array is
+    yielded.
     """
     sums, width = np.add(x[:-1], x[1:], out=pairs[:-1]), 2
-    for f in factors:
-        while width + 1 < f:
+    for factor in factors:
+        while width + 1 < factor:
             size = len(sums) - 2
             sums = np.add(sums[:size], pairs[width : width + size], out=scratch[:size])
             width += 2
-        if f == width:
+        if factor == width:
             yield sums
         else:
-            yield x if f == 1 else np.add(sums[:-1], x[width:], out=scratch[: len(sums) - 1])
+            yield x if factor == 1 else np.add(sums[:-1], x[width:], out=scratch[: len(sums) - 1])
 
 
 def _squares(d: Floats) -> Floats:

@@ -52,7 +52,10 @@ LEAST_DEGREES = 8.0
 
 
 class Coherence(NamedTuple):
-    """Coherence (correlation, -1 to 1) of two signals at each averaging time, with its interval."""
+    """Coherence (correlation, -1 to 1) of two signals at each averaging time, with its interval.
+
+    The coherence with constant samples is NaN.
+    """
 
     tau: Floats  # averaging times in s, (taus,)
     value: Floats  # coherence at each averaging time, (taus,)
@@ -82,8 +85,8 @@ class CommonNoise:
     own : Estimate or None
         N in SI without the noise that all IMUs measure equally. With two IMUs, only the root mean
         square of both values is known, and is given for both. None if two axes are compared, if
-        the samples are constant, or if the IMUs measure the common noise with differences that
-        ``gain`` does not correct.
+        the differences of the samples of the IMUs are constant, or if the IMUs measure the common
+        noise with differences that ``gain`` does not correct.
     gain : float
         Factor with which the IMU measures the common noise; the geometric mean of the factors of
         all IMUs is 1.
@@ -117,7 +120,7 @@ def common_noise(axis: str, imus: Sequence[Samples], labels: Sequence[str]) -> l
     axis : str
         Name of the axis.
     imus : sequence of Samples
-        Samples of this axis of each IMU.
+        Samples of this axis of each IMU, at least two samples each.
     labels : sequence of str
         Names of the IMUs.
 
@@ -275,9 +278,9 @@ def white_noise(blocks: Sequence[AllanSums], number: int) -> list[Estimate | Non
     """Return N of each sensor, then own N of each sensor, in SI with 95 % intervals.
 
     N is fitted together with Q, B and K to the Allan variances by weighted least squares. The
-    interval is from a jackknife over the blocks. N is None if the samples are constant. *Own N* is
-    N without the common noise. With two sensors, only the root mean square of both values of own N
-    is known, and is given for both.
+    interval is from a jackknife over the blocks. *Own N* is N without the common noise. With two
+    sensors, only the root mean square of both values of own N is known, and is given for both. N is
+    None for constant samples, and own N is None if the differences of the sensors are constant.
 
     ``blocks`` are from `_sums`, and ``number`` is the number of sensors.
     """

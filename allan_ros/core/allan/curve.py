@@ -82,9 +82,8 @@ def _correlation_sums(noise_type: int, m: int, stride: int, lags: int) -> tuple[
     """Return the sums of rho^2 and of |j| rho^2 over j = -L .. L, for each L from 0 to ``lags``.
 
     Both results are (lags + 1,). rho is the correlation of two second differences whose starts are
-    ``stride * j`` samples apart.
-    A pair of differences at lag j occurs M - |j| times among M differences, so that the variance of
-    their sum of squares needs both sums.
+    ``stride * j`` samples apart. Among M differences, there are M - |j| pairs with the lag j, so
+    that the variance of the sum of squares of the differences needs both results.
     """
     lag = np.arange(1, lags + 1)
     squares = correlation(noise_type, m, stride * lag) ** 2
@@ -205,26 +204,27 @@ def _local_slopes(m: Ints, avar: Floats, weights: Floats) -> Floats:
 
     The points are weighted by ``weights``, (factors,).
     """
-    x = np.log(m.astype(float))
+    log_m = np.log(m.astype(float))
     distance = np.log(SLOPE_RANGE) * (1.0 + 1e-9)
     slopes = np.full(avar.shape, np.nan)
     for axis in range(avar.shape[1]):
         has_variance = (weights > 0.0) & (avar[:, axis] > 0.0)
-        xs, ws, ys = x[has_variance], weights[has_variance], np.log(avar[has_variance, axis])
+        log_avar = np.log(avar[has_variance, axis])
+        used_log_m, used_weights = log_m[has_variance], weights[has_variance]
         for i in range(len(m)):
-            is_near = np.abs(xs - x[i]) <= distance
+            is_near = np.abs(used_log_m - log_m[i]) <= distance
             if np.count_nonzero(is_near) < 2:
                 continue
-            w = ws[is_near] / ws[is_near].sum()
-            dx = xs[is_near] - w @ xs[is_near]
-            slopes[i, axis] = (w * dx) @ ys[is_near] / ((w * dx) @ dx)
+            share = used_weights[is_near] / used_weights[is_near].sum()
+            distances = used_log_m[is_near] - share @ used_log_m[is_near]
+            slopes[i, axis] = (share * distances) @ log_avar[is_near]
+            slopes[i, axis] /= (share * distances) @ distances
     return slopes
 
 
 UNCERTAIN = 1.5
-"""Largest ratio of the upper limit of a point to the point itself. A point with a larger ratio is
-not compared with a model. Such a point has fewer than six degrees of freedom: its averaging time
-exceeds about a tenth of the recording."""
+"""Largest ratio of the upper limit of a point of the curve to the point itself for which the point
+is compared with a model. A point with a larger ratio has fewer than six degrees of freedom."""
 
 
 @dataclass(frozen=True)
@@ -365,9 +365,10 @@ def degrees_of_freedom(sums: AllanSums, m: Ints, stride: Ints, types: Ints) -> F
 class Spectra:
     """Mean power of the spectral blocks in all bins, from octave 0 (high frequencies) on.
 
-    The powers of two bins of a block are correlated, and so are the powers of overlapping blocks.
-    ``dof`` are the degrees of freedom of the mean power of one bin. A sum over all bins is as
-    accurate as if each bin was independent and had ``shared_dof`` degrees of freedom.
+    From octave 5 on, the blocks consist of means of samples. The powers of two bins of a block are
+    correlated, and so are the powers of overlapping blocks. ``dof`` are the degrees of freedom of
+    the mean power of one bin. A sum over all bins is as accurate as if each bin was independent and
+    had ``shared_dof`` degrees of freedom.
     """
 
     octave: Ints  # (bins,) octave of each bin
@@ -429,8 +430,8 @@ class Spectrum:
 def noise_density(sums: AllanSums) -> Spectrum | None:
     """Return the power spectral density of the samples; None if it is unknown.
 
-    The density is unknown without a complete spectral block, or if the sample period is unknown or
-    0.
+    The density is unknown if the sums contain no spectral block, or if the sample period is unknown
+    or 0.
     """
     spectra = pooled_spectra(sums)
     used_bins = np.flatnonzero(spectra.dof > 0.0)

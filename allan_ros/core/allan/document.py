@@ -122,8 +122,8 @@ def _packed(values: NDArray[Any]) -> str:
     """Return an array of int64 or float64 as zlib-compressed bytes in base64.
 
     The least significant bytes of all numbers come first, then the second least significant bytes
-    of all numbers, and so on. This order compresses better, in particular if the first bytes are 0
-    (see `rounded`).
+    of all numbers, and so on. This order compresses better, in particular if the least significant
+    bytes are 0 (see `rounded`).
     """
     dtype = '<f8' if values.dtype.kind == 'f' else '<i8'
     data = np.ascontiguousarray(values, dtype).view(np.uint8).reshape(-1, 8)
@@ -155,7 +155,8 @@ def _array(fields: Fields, key: str, shape: tuple[int, ...], least: Any, most: A
 def sums_from_document(document: object, where: str = 'sums') -> AllanSums:
     """Return the Allan sums from a dict that `sums_to_document` has returned.
 
-    ``where`` is the name of the document in error messages.
+    The dict may have been written to JSON and read again. ``where`` is the name of the document in
+    error messages.
 
     Raises
     ------
@@ -174,22 +175,25 @@ def sums_from_document(document: object, where: str = 'sums') -> AllanSums:
         raise AllanError(
             f'{where}.axes is {axes!r:.80}: give some of {", ".join(AXES)}, in this order'
         )
-    n, axis_count = len(fields.sequence('count', MAX_FACTORS)), len(axes)
+    factor_count, axis_count = len(fields.sequence('count', MAX_FACTORS)), len(axes)
     replaced = _whole_table(fields, 'replaced', MAX_STRETCHES, 2 + axis_count)
     sums = AllanSums(
         ImuIdentity(*(fields.text(key, longest=MAX_NAME) for key in ('frame_id', 'hardware_id'))),
         axes,
-        fields.integers('count', n),
-        fields.table('sum_sq', n, axis_count, least=0.0),
-        fields.integers('group_count', n),
-        fields.table('group_sum_sq', n, axis_count, least=0.0),
+        fields.integers('count', factor_count),
+        fields.table('sum_sq', factor_count, axis_count, least=0.0),
+        fields.integers('group_count', factor_count),
+        fields.table('group_sum_sq', factor_count, axis_count, least=0.0),
         fields.integer('elapsed_ns', least=0),
         fields.integer('intervals', least=0),
-        tuple(_recording(f, n, axis_count) for f in fields.each('recordings', MAX_PERIODS)),
+        tuple(
+            _recording(recording, factor_count, axis_count)
+            for recording in fields.each('recordings', MAX_PERIODS)
+        ),
         tuple((a, b) for a, b in _whole_table(fields, 'lengths', MAX_CLASSES, 2).tolist()),
         replaced,
     )
-    if not np.array_equal(fields.integers('m', n), sums.m):
+    if not np.array_equal(fields.integers('m', factor_count), sums.m):
         raise AllanError(
             f'{where}.m has other averaging factors than this version: accumulate the data again'
         )

@@ -33,7 +33,7 @@ LEVEL_FACTORS = (8, 10, 12, 14)
 
 MAX_LEVELS = 42
 """Largest accepted number of levels of the cascade. The longest averaging time is then 2^41 x 14
-samples, which are 970 years at 1 kHz."""
+samples, which are 976 years at 1 kHz."""
 
 
 def grid(levels: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -42,7 +42,7 @@ def grid(levels: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     The stride is the number of samples between the starts of successive second differences. Both
     arrays have 5 + 4 * ``levels`` elements.
     """
-    m = [*FIRST_FACTORS, *(f << j for j in range(levels) for f in LEVEL_FACTORS)]
+    m = [*FIRST_FACTORS, *(factor << j for j in range(levels) for factor in LEVEL_FACTORS)]
     stride = [1] * len(FIRST_FACTORS) + [1 << j for j in range(levels) for _ in LEVEL_FACTORS]
     return np.array(m, np.int64), np.array(stride, np.int64)
 
@@ -124,18 +124,18 @@ def bins_up_to(octaves: int) -> int:
 
 @lru_cache
 def tapers(size: int, bins: range) -> NDArray[np.complex128]:
-    """Return the complex taper of each bin, (bins, size); the squares of a taper sum to 1.
+    """Return the complex taper of each bin, (bins, size); its squared magnitudes sum to 1.
 
-    The power of a block in all bins is |tapers @ block|^2. The squares of two windows that overlap
-    by half add up to 1. Each taper is orthogonal to a constant and to a line, so that an offset or
-    a slow drift adds no power.
+    The powers of a block in the bins are |tapers @ block|^2. The squared windows of two blocks that
+    overlap by half add up to 1. Each taper is orthogonal to a constant and to a line, so that an
+    offset or a linear drift adds no power.
     """
     t = np.arange(size)
     window = np.sin(np.pi / 2 * np.sin(np.pi * (t + 0.5) / size) ** 2)
-    a = window * np.exp(-2j * np.pi * np.outer(np.array(bins), t) / size)
+    waves = window * np.exp(-2j * np.pi * np.outer(np.array(bins), t) / size)
     constant_and_line = np.linalg.qr(np.stack([np.ones(size), t - t.mean()], axis=1))[0]
-    a = a - (a @ constant_and_line) @ constant_and_line.T
-    return np.asarray(a / np.sqrt((np.abs(a) ** 2).sum(axis=1))[:, None])
+    waves = waves - (waves @ constant_and_line) @ constant_and_line.T
+    return np.asarray(waves / np.sqrt((np.abs(waves) ** 2).sum(axis=1))[:, None])
 
 
 @lru_cache
@@ -147,9 +147,10 @@ def overlap(o: int) -> tuple[Floats, Floats]:
     with the same bins of both neighboring blocks, summed over the two blocks.
     """
     size = octave(o).size
-    a = tapers(size, range(1, 4 * LOW_BIN))
-    next_tapers = np.zeros_like(a)  # tapers of the next block, where it overlaps this block
-    next_tapers[:, size // 2 :] = a[:, : size // 2]
+    these_tapers = tapers(size, range(1, 4 * LOW_BIN))
+    # tapers of the next block, where the next block overlaps this block
+    next_tapers = np.zeros_like(these_tapers)
+    next_tapers[:, size // 2 :] = these_tapers[:, : size // 2]
     # row of bin 16 (octave 0) or bin 12 (other octaves)
     middle_row = (2 * LOW_BIN if o == 0 else LOW_BIN + LOW_BIN // 2) - 1
 
@@ -157,4 +158,6 @@ def overlap(o: int) -> tuple[Floats, Floats]:
         middle_taper = x[middle_row]
         return np.asarray(np.abs(middle_taper.conj() @ y.T) ** 2 + np.abs(middle_taper @ y.T) ** 2)
 
-    return covariance(a, a), covariance(a, next_tapers) + covariance(next_tapers, a)
+    with_next = covariance(these_tapers, next_tapers)
+    with_previous = covariance(next_tapers, these_tapers)
+    return covariance(these_tapers, these_tapers), with_next + with_previous

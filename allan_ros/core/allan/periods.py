@@ -5,8 +5,8 @@
 Periods
 -------
 The age of a sample is the number of samples of the recording before this sample. Periods are short
-at the start of a recording (warm-up) and at its end (recent changes), and long in between. A block
-of any level of the cascade belongs to the period in which the block starts.
+at the start of a recording (warm-up) and at its end (recent changes), and long in between. The sums
+over each part of a block of the cascade belong to the period in which the part starts.
 
 Rounding
 --------
@@ -42,7 +42,7 @@ means. The other bytes are set to 0."""
 
 
 def rounded(values: Floats, size: int) -> Floats:
-    """Return values of any shape and unit, rounded to the first ``size`` bytes of each float64.
+    """Return values, (n, ...), in any unit, rounded to the first ``size`` bytes of each float64.
 
     The first byte is the most significant byte.
     """
@@ -90,13 +90,13 @@ class Period(ByValue):
 
     begin: int  # number of samples of the recording before the period
     samples: int  # number of samples
-    begin_ns: int  # stamp of the first sample, computed from the mean sample period
+    begin_ns: int  # stamp of the first sample in ns, computed from the mean sample period
     count: Ints  # (factors,) number of second differences
     sum_sq: Floats  # (factors, axes) sum of the squares of the second differences
     blocks: Ints  # (octaves,) number of spectral blocks
     pairs: Ints  # (octaves,) number of pairs of overlapping spectral blocks
     power: Floats  # (bins, axes) power in the bins of all octaves, summed over the spectral blocks
-    total: Floats  # (axes,) sum of the samples minus ``RecordedPeriods.reference``
+    total: Floats  # (axes,) sum of all differences ``sample - RecordedPeriods.reference``
     interpolated: int  # number of samples that are interpolated on some axis
 
     @property
@@ -137,7 +137,7 @@ class BlockMeans(ByValue):
     """Means of one segment over consecutive blocks of samples."""
 
     age: int  # number of samples of the recording before the segment
-    start_ns: int  # stamp of the first sample of the segment
+    start_ns: int  # stamp of the first sample of the segment in ns
     samples: int  # number of samples of the segment
     step: int  # samples per block, a power of two
     values: Floats  # (means, axes) means minus ``RecordedPeriods.reference``
@@ -195,7 +195,7 @@ def pair_to_merge(begins: Sequence[int], length: int) -> tuple[float, int]:
     ``begins`` are the ages at which the periods begin, and ``length`` is the number of samples of
     the recording. The length of a pair of periods is divided by the smaller of two distances: from
     the start of the recording to the end of the pair, and from the start of the pair to the end of
-    the recording. The result is infinite for fewer than two periods.
+    the recording. For fewer than two periods, the least length is infinite, and the index is 0.
     """
     ends = [*begins[1:], length]
     relative_lengths = [
@@ -214,9 +214,9 @@ def bounded(recordings: Iterable[RecordedPeriods]) -> tuple[RecordedPeriods, ...
     kept_recordings = sorted(recordings, key=lambda r: (r.periods[0].begin_ns, r.samples))
     while sum(len(r.periods) for r in kept_recordings) > MAX_PERIODS:
         pairs = [pair_to_merge([p.begin for p in r.periods], r.samples) for r in kept_recordings]
-        _, k, i = min((relative_length, k, i) for k, (relative_length, i) in enumerate(pairs))
-        if len(kept_recordings[k].periods) > 1:
-            kept_recordings[k] = kept_recordings[k].merged(i)
+        _, shortest, i = min((length, number, i) for number, (length, i) in enumerate(pairs))
+        if len(kept_recordings[shortest].periods) > 1:
+            kept_recordings[shortest] = kept_recordings[shortest].merged(i)
         else:
             kept_recordings[:2] = [kept_recordings[0].joined(kept_recordings[1])]
     means = iter(bounded_means([r.means for r in kept_recordings]))

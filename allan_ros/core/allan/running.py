@@ -40,8 +40,8 @@ class _RunningPeriod:
     """Sums over one period before they are rounded; the period may still grow."""
 
     begin: int  # number of samples of the recording before the period
-    # stamp of the first sample of the segment in which the period begins, and number of samples of
-    # this segment before the period
+    # stamp in ns of the first sample of the segment in which the period begins, and number of
+    # samples of this segment before the period
     start: tuple[int, int]
     samples: int
     # (axes + 1,) sums of the samples minus the first sample of the recording, then the number of
@@ -77,7 +77,7 @@ class _SegmentSums(NamedTuple):
     step: int
 
     def plus(self, block: Block) -> _SegmentSums:
-        """Return the sums to which the samples of a block of level 0 are added.
+        """Return the sums after the samples of a block of level 0 were added.
 
         ``step`` doubles if there would be more than `SEGMENT_MEANS` complete sums.
         """
@@ -195,7 +195,7 @@ class RunningSums:
         Parameters
         ----------
         samples : (n, axes) array
-            Finite values in SI.
+            Finite values in SI; may be empty.
         first_ns, last_ns : int
             Stamps of the first and of the last of these samples in ns.
         interpolated : (n,) array of bool, optional

@@ -180,7 +180,10 @@ class AllanSums(ByValue):
 
     @property
     def group_avar(self) -> Floats:
-        """Non-overlapping Allan variance at ``m``, (factors, axes); NaN without data."""
+        """Non-overlapping Allan variance at the factors ``m``, (factors, axes).
+
+        The unit is the squared unit of the samples. Factors without data have NaN.
+        """
         return allan_variance(self.group_sum_sq, self.m, self.group_count)
 
     @property
@@ -290,9 +293,12 @@ def part(sums: AllanSums, first: int) -> AllanSums:
     """Return the sums over the later periods of each recording, from the index ``first`` on.
 
     A negative ``first`` counts from the last period. Block means outside of these periods are
-    removed, and the result has no non-overlapping differences. Long blocks of the cascade belong to
-    the period in which they begin, so a part may have few differences at large averaging factors.
-    Where the block means give more differences, the differences of block means are used instead.
+    removed, and the result has no non-overlapping differences.
+
+    At large averaging factors, the differences that end in a long stretch of samples have one
+    common sum, which belongs to the period in which the stretch begins. The later periods may
+    therefore have few differences. Where the block means give more differences, the differences of
+    block means are used instead.
     """
     kept_recordings = [
         r for r in (_excerpt(r, sums.tau0, first) for r in sums.recordings) if r.periods
@@ -351,8 +357,8 @@ def _from_means(
 ) -> tuple[int, Floats | float]:
     """Return the number, and the sum of squares, (axes,), of second differences of block means.
 
-    ``m`` is the averaging factor, and ``stride`` is the number of samples from the start of one
-    difference to the next. The sum is 0.0 if there are no differences.
+    ``m`` is the averaging factor. The differences start ``stride`` samples apart, or one block
+    apart if a block is longer. The sum is 0.0 if there are no differences.
     """
     number, squares = 0, 0.0
     for means in (means for r in recordings for means in r.means):

@@ -51,7 +51,7 @@ def avar(process: Process, m: ArrayLike) -> Floats:
 
 
 def growth_variance(process: Process, horizon: ArrayLike, window: ArrayLike) -> Floats:
-    """Return the variance of the sum of ``horizon`` samples, from which the bias was subtracted.
+    """Return the variance of a sum of ``horizon`` samples minus ``horizon`` times the bias.
 
     The bias is the mean of the ``window`` samples directly before the sum. ``horizon`` and
     ``window`` may be arrays; the result has the shape to which they broadcast. The coefficient of

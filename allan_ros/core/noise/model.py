@@ -126,7 +126,7 @@ class Model:
 
         The result is 0 if the model does not contain the term, or another process replaces it.
         """
-        return sum(part.value for part in self.parts if part.process == BY_LETTER[letter])
+        return sum((p.value for p in self.parts if p.process == BY_LETTER[letter]), 0.0)
 
     def changed(self, **terms: float) -> Model:
         """Return the model with other coefficients of some terms (``N=1e-3``), in SI.

@@ -181,7 +181,7 @@ class Process:
         M : array
             Samples per mean, above 0; need not be whole.
         j : array
-            Lag as a number of means, at least 0; broadcasts with ``M``.
+            Lag as a whole number of means, at least 0; broadcasts with ``M``.
 
         Returns
         -------
@@ -341,7 +341,7 @@ class Process:
 
     @property
     def title(self) -> str:
-        """The label with the shape parameters in s and Hz, rounded to two digits."""
+        """The label with the values of the shape parameters, rounded to two significant digits."""
         numbers = {p.name: _two_digits(v) for p, v in zip(self.parameters, self.shape)}
         return self.label.format(**numbers)
 

@@ -96,8 +96,8 @@ def rounding_of_counter(step: float, white: float, effect_of_rate: complex) -> R
     effect_of_rate : complex
         Mean of exp(2 pi i y/step) over block means y of the samples. Its phase is 2 pi times the
         mean number of steps per sample, up to whole steps. Its magnitude is below 1 if the rate
-        drifts: the drift reduces the correlation of successive errors by this factor.
-        The white noise in the block means also reduces the magnitude a little.
+        drifts: the drift reduces the correlation of successive errors by this factor. The white
+        noise in the block means also reduces the magnitude a little.
     """
     frequency = abs(cmath.phase(effect_of_rate)) / (2.0 * math.pi)
     decay_by_noise = 2.0 * math.pi**2 * white / step**2
