@@ -40,10 +40,11 @@ MOST_RATE = 200.0
 
 MOST_KEPT = 1 << 20
 """Largest number of samples that are kept of a drive, and of the beginning and of the end of a
-rest: 48 MiB each. Only complete blocks are removed, so up to one block more is kept."""
+rest: 48 MiB each. Of the end of a rest, only complete blocks are removed, so up to one block more
+is kept."""
 
 MOST_DRIVES = 60
-"""Largest number of drives whose errors are stored, about 60 kB each; the oldest are removed."""
+"""Largest number of drives whose errors are stored, about 50 kB each; the oldest are removed."""
 
 Unused = Literal['short', 'long', 'gap', 'short_rest']
 """Why a drive is not used: the drive is too short or too long, samples of it are missing, or one of
@@ -82,7 +83,8 @@ class DriveRecorder:
     """Collects the drives between rests from evenly spaced samples of six axes.
 
     The result does not depend on how the samples are divided into blocks, unless more samples are
-    buffered than the limits permit (`LONGEST_AHEAD_S`, `MOST_KEPT`).
+    buffered than the limits permit (`LONGEST_AHEAD_S`, `MOST_KEPT`). ``tau0`` is the sample period
+    in s.
     """
 
     def __init__(self, tau0: float) -> None:
@@ -200,8 +202,8 @@ class DriveRecorder:
         rows, k = pending.rows, max(math.ceil(1.0 / (self._tau0 * MOST_RATE) - 1e-9), 1)
         # up to k - 1 samples at the end of the drive are omitted; the IMU is already at rest then,
         # because the detected rest begins some time after the motion
-        averaged = len(rows) // k * k
-        means = rows[:averaged].reshape(-1, k, len(AXES)).mean(axis=1)
+        end = len(rows) // k * k
+        means = rows[:end].reshape(-1, k, len(AXES)).mean(axis=1)
         gyro, accel, tau0 = means[:, :3], means[:, 3:], k * self._tau0
         before, follows = pending.before, pending.follows
         return drive_errors(Drive(pending.start, tau0, gyro, accel, before, second_rest, follows))
@@ -209,7 +211,7 @@ class DriveRecorder:
     def _mean(self, parts: Iterable[Floats], latest: bool = False) -> Rest | None:
         """Return the means of samples of a rest, or None if the rest is too short.
 
-        With ``latest``, only the last `REST_S` of the samples are averaged.
+        With ``latest``, only the samples in the last `REST_S` seconds are averaged.
         """
         rows = np.concatenate([np.empty((0, len(AXES))), *parts])
         rows = rows[-self._rest_samples :] if latest else rows
@@ -219,12 +221,12 @@ class DriveRecorder:
         mean = rows.mean(axis=0)
         return Rest(mean[:3], mean[3:], seconds)
 
-    def _samples_before(self, stamp: int) -> tuple[Floats, bool]:
+    def _samples_before(self, stamp_ns: int) -> tuple[Floats, bool]:
         """Remove the samples before a stamp; return them, (n, 6), and whether they have a gap."""
         parts, is_split = [], False
-        while self._raw and self._raw[0].stamps_ns[0] < stamp:
+        while self._raw and self._raw[0].stamps_ns[0] < stamp_ns:
             block = self._raw.popleft()
-            number = int(np.searchsorted(block.stamps_ns, stamp))
+            number = int(np.searchsorted(block.stamps_ns, stamp_ns))
             is_split |= bool(block.cut)
             parts.append(block.samples[:number])
             if number < len(block):

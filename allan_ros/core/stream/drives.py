@@ -193,7 +193,7 @@ def drive_errors(drive: Drive) -> DriveErrors:
     Parameters
     ----------
     drive : Drive
-        The samples, and the rests before and after the drive.
+        At least one sample, and the rests before and after the drive.
 
     Returns
     -------
@@ -307,7 +307,7 @@ def rotation_matrices(v: Floats) -> Floats:
 def _cumulative_products(matrices: Floats) -> Floats:
     """Return the products of the first 1, 2, ..., n of n matrices, (n, 3, 3).
 
-    The products are computed in log2(n) steps.
+    The products are computed in log2(n) steps, rounded up.
     """
     products, stride = matrices.copy(), 1
     while stride < len(products):

@@ -9,18 +9,18 @@ window is moving if its variance, its largest deviation, the step of its mean or
 rate exceeds a limit, if its noise is much smaller, or if its samples are not plausible. The limits
 are derived from the noise floor, which is the noise of the sensor at rest. A window of white noise
 is classified as moving with a probability below 1e-8 (at 50 Hz and above, 1e-11), so N has no bias.
-The limits at which a motion begins are higher than the limits at which it ends (hysteresis). Some
-windows before and after a motion are also excluded.
+The variance at which a motion begins is larger than the variance at which the motion ends
+(hysteresis). Some windows before and after a motion are also excluded.
 
 First, isolated spikes are replaced. On an axis whose noise has heavy tails, isolated large values
 are noise: they stay in the data and are not regarded as motion. The samples of a shock are also
 replaced.
 
 The noise floor is learned from the first windows in which the IMU can be at rest, and then updated
-from the quietest quarter of each block of windows. If the noise remains different while the IMU is
-at rest, or if an axis begins to be clipped, another noise level begins. Windows are counted from
-the start of the stream or the last gap. Therefore, the decisions do not depend on how the samples
-are divided into batches.
+from the windows at rest in each block of windows. If the noise remains different while the IMU is
+at rest, or if other axes are clipped than before, another noise level begins. Windows are counted
+from the start of the stream or the last gap. Therefore, the decisions do not depend on how the
+samples are divided into batches.
 """
 
 from __future__ import annotations
@@ -76,7 +76,8 @@ LEAST_FAULTY = 4
 """Number of latest windows that are searched for known faults if none of them is at rest."""
 
 MOST_FILLED = 0.1
-"""Largest share of interpolated samples in a window that is searched for outliers."""
+"""Largest share of interpolated or replaced samples, on any axis, in a window that is searched for
+outliers."""
 
 
 class MotionGate:
@@ -87,8 +88,9 @@ class MotionGate:
     standard deviation is more than ``settings.motion_ratio`` times the noise floor, or if its mean
     angular rate differs from the rate at rest by more than ``settings.rate_limit`` and more than
     noise explains. After every `CHECKED_WINDOWS` windows, another noise level begins or continues
-    if it fits these windows better than the present level. ``period_ns`` is the sample period.
-    ``levels``, ``events``, and the numbers of spikes and splits in ``counts`` are changed in place.
+    if it fits these windows better than the present level. ``period_ns`` is the sample period in
+    ns. ``levels``, ``events``, and the numbers of spikes and splits in ``counts`` are changed in
+    place.
     """
 
     def __init__(
@@ -115,7 +117,7 @@ class MotionGate:
         # the latest windows at the present noise level, at most `BLOCK_WINDOWS`
         self._recent = RecentWindows()
         self._former_noise: dict[str, float] = {}  # `noise` when the present level began
-        self._number = 0  # number of windows since the noise floor was learned or updated
+        self._number = 0  # number of complete windows in the present block
 
     @property
     def faults(self) -> tuple[Finding, ...]:
@@ -131,7 +133,7 @@ class MotionGate:
 
     @property
     def _clipped(self) -> tuple[Finding, ...]:
-        """A finding for each axis that is clipped now, but not in the sums that are the result."""
+        """A finding for each axis that is clipped now, but not in the Allan sums of the result."""
         floor, published_floor = self._levels.present.floor, self._levels.published.floor
         if floor is None or published_floor is None:
             return ()
@@ -152,8 +154,8 @@ class MotionGate:
 
         The noise is computed from the differences of neighboring samples in the latest
         `CHECKED_WINDOWS` windows. These must be at rest, or have larger noise without a motion.
-        While the present noise level has fewer windows, the noise at its start is returned. The
-        result is empty before the first windows.
+        While the first noise level has fewer windows, the result is empty. While a later noise
+        level has fewer windows, the noise at the start of this level is returned.
         """
         recent = self._recent.last(CHECKED_WINDOWS)
         if len(recent) < CHECKED_WINDOWS:  # the noise level has just begun
@@ -187,7 +189,7 @@ class MotionGate:
 
     @property
     def stuck(self) -> tuple[str, ...]:
-        """Axes that have repeated one value."""
+        """Axes that repeated one value for some time, but changed before or after this time."""
         return tuple(
             axis for axis, repeats_value in zip(self._axes, self._rest.stuck) if repeats_value
         )
@@ -234,7 +236,7 @@ class MotionGate:
     # --- learning ---------------------------------------------------------------------------------
 
     def _learn(self) -> None:
-        """Learn the noise floor from the first windows, or exclude them if the IMU moved."""
+        """Learn the noise floor from buffered samples, or exclude them if the IMU moved."""
         parts, self._learning = _without_gaps(self._learning), []
         floor = self._learned_floor(parts)
         if not floor.is_plausible():
@@ -250,7 +252,7 @@ class MotionGate:
             self._add(part)
 
     def _learned_floor(self, parts: Iterable[ImuBatch]) -> NoiseFloor:
-        """Return the noise floor that is learned from ``parts``, between which may be gaps."""
+        """Return the noise floor of consecutive batches, between which gaps are possible."""
         gyro = np.array([axis.startswith('gyro') for axis in self._axes])
         rows = [part.rows for part in _without_gaps(parts)]
         return NoiseFloor.learned(rows, self.size, gyro, self._settings)
@@ -276,17 +278,17 @@ class MotionGate:
         self._before = self._before[:, :0]
         self._rest.end_segment()
 
-    def _classify(self, buffered: ImuBatch, samples: int, size: int) -> None:
-        """Classify the first ``samples`` samples, in windows of ``size``.
+    def _classify(self, buffered: ImuBatch, end: int, size: int) -> None:
+        """Classify the samples before the index ``end``, in windows of ``size`` samples.
 
-        If all windows up to the end of the block of `BLOCK_WINDOWS` are at rest at the present
-        level, they are classified together, and no other level can fit them better. Otherwise, only
-        the windows up to the next check are classified together, because the check may begin
-        another level.
+        If no other level can fit the windows up to the end of the block of `BLOCK_WINDOWS` better,
+        and if all these windows are at rest, they are classified together. Otherwise, only the
+        windows up to the next check are classified together, because the check may begin another
+        level.
         """
         position = 0
-        while position < samples:
-            number_ready = (samples - position) // size
+        while position < end:
+            number_ready = (end - position) // size
             number = min(number_ready, CHECKED_WINDOWS - self._number % CHECKED_WINDOWS)
             number_together = min(number_ready, BLOCK_WINDOWS - self._number)
             is_unchanged = (
@@ -315,8 +317,8 @@ class MotionGate:
     ) -> bool:
         """Pass ``number`` windows, which begin at sample ``begin``, to `RestFilter`.
 
-        Returns whether this was done. With ``only_at_rest``, nothing is done if one of the windows
-        is not at rest, or if the clipped axes change.
+        Returns whether the windows were passed. With ``only_at_rest``, nothing is done if a motion
+        has not ended, if one of the windows is not at rest, or if the clipped axes change.
         """
         end = begin + number * size
         block = buffered.part(slice(begin, end), '' if begin else buffered.cut)
@@ -414,7 +416,7 @@ class MotionGate:
             flags = np.broadcast_to(is_newly_clipped[:, None], variance.shape)
             self._levels.add_decrease(variance, flags, floor.variance)
             self._try_other_level(learned, 'noise_decreased')
-        else:  # only the samples before the latest windows were clipped
+        else:  # an axis that was clipped before is not clipped in the latest windows
             self._replace('moving', learned)
 
     def _decreases_to(self, learned: NoiseFloor, recent: RecentWindows) -> bool:
@@ -477,7 +479,7 @@ class MotionGate:
         self._begin_level('motion' if reason == 'moving' else 'stuck')
 
     def _try_other_level(self, floor: NoiseFloor, change: Change) -> None:
-        """Begin another noise level, whose sums are kept apart until the level is accepted."""
+        """Begin another noise level on trial, whose Allan sums are not the result yet."""
         motion = self._rest.motion
         began_ns = motion.began_ns if motion is not None else self._recent.latest_ns
         self._rest.end_segment()
@@ -502,7 +504,7 @@ class MotionGate:
 
 
 def _without_gaps(blocks: Iterable[ImuBatch]) -> list[ImuBatch]:
-    """Join the blocks between which there is no gap."""
+    """Return the blocks, with blocks joined between which there is no gap."""
     groups: list[list[ImuBatch]] = []
     for block in blocks:
         if block.cut or not groups:
@@ -512,11 +514,11 @@ def _without_gaps(blocks: Iterable[ImuBatch]) -> list[ImuBatch]:
 
 
 def _usable(block: ImuBatch, size: int, chosen: Flags) -> Floats:
-    """Return the samples, (axes, k * size), of the chosen windows with few interpolated samples."""
-    samples = len(chosen) * size
-    windows = block.rows[:, :samples].reshape(len(block.rows), -1, size)
+    """Return the samples, (axes, k * size), of the chosen windows with few replaced samples."""
+    end = len(chosen) * size
+    windows = block.rows[:, :end].reshape(len(block.rows), -1, size)
     if block.filled is not None:
-        is_replaced = block.filled[:, :samples].reshape(windows.shape) > 0
+        is_replaced = block.filled[:, :end].reshape(windows.shape) > 0
         replaced_shares = is_replaced.mean(axis=2).max(axis=0)
         chosen = chosen & (replaced_shares <= MOST_FILLED)
     return windows[:, chosen].reshape(len(windows), -1)

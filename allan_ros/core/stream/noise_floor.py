@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The noise floor, which is the noise of a sensor at rest, and the classification of windows.
+"""The noise floor, which is the noise of an IMU at rest, and the classification of windows.
 
 The noise floor is learned from short windows of samples. Later windows are compared with the noise
 floor, and classified as at rest or moving.
@@ -21,7 +21,8 @@ from .sensors import clipped_shares, extreme_shares
 from .windows import WindowClass, Windows, idle_share, is_stuck, von_neumann_ratio
 
 LEAST_WINDOW = 16
-"""Smallest number of samples in a window; the variance of fewer samples is too uncertain."""
+"""Smallest number of samples in a window, except for a shorter window before a gap. The variance of
+fewer samples is too uncertain."""
 
 QUANTILE = 0.25
 """The noise floor is this quantile of the variances of the windows. Therefore, up to three quarters
@@ -32,7 +33,7 @@ MAD_TO_SIGMA = 1.4826
 value."""
 
 FLOOR_GAIN = 0.25
-"""Weight of the latest block of windows at rest when the noise floor is updated."""
+"""Weight of the latest block of windows when the variance of the noise floor is updated."""
 
 DECREASE_RATIO = 5.0
 """The noise of an axis decreased if its standard deviation in a window is smaller than the noise
@@ -40,8 +41,9 @@ floor by more than this factor. Less than 1e-8 of the shortest windows of white 
 a standard deviation (chi-squared with 15 degrees of freedom)."""
 
 SHAKEN_RATIO = 30.0
-"""If the standard deviation of an axis is larger by more than this factor than at another time, the
-sensor was shaken. Fans, motors and settings of the sensor change the noise less."""
+"""If the standard deviation of at least `MOVING_AXES` axes is larger by more than this factor than
+at another time, the IMU was shaken. Fans, motors and settings of the sensor change the noise less.
+"""
 
 MOVING_AXES = 2
 """Smallest number of axes whose noise a motion is assumed to increase; a fault may affect only
@@ -57,7 +59,7 @@ GRAVITY_CHANGE = 0.5
 IDLE_SHARE = 0.4
 """A window with at least this share of idle samples does not consist of measurements. A sample is
 idle if all axes of a sensor are zero or repeat the previous sample. In white noise on three axes
-with a standard deviation above the resolution, 2 % of the samples are idle."""
+with a standard deviation above the resolution, less than 10 % of the samples are idle."""
 
 COLORED_STEP = 3.0
 """If the steps between window means exceed the steps of white noise by this factor, the noise is
@@ -76,7 +78,8 @@ are outliers. The share is 5e-5 for white noise, and 7e-3 for a t distribution w
 freedom."""
 
 EXAMINED = 16
-"""To save time, only one in this number of windows at rest is searched for outliers."""
+"""After the noise floor is learned, only one in this number of windows is searched for outliers, if
+it is at rest. This saves time."""
 
 CLIPPED_SHARE, UNCLIPPED = 0.1, 0.25
 """An axis begins to be clipped when at least the first share of its samples is clipped. Clipping
@@ -104,11 +107,12 @@ by the same fraction of its magnitude."""
 
 
 LEAVE_RATIO = 0.8
-"""A motion ends when the standard deviation is below this fraction of the limit for its start."""
+"""A motion ends when the standard deviation is below this fraction of the limit at which a motion
+begins."""
 
 SHOCK_SIGMAS = 20.0
 """A sample that deviates from the mean of its window by more than this number of standard
-deviations of the noise floor is part of a shock."""
+deviations of the noise floor is due to a shock or another motion."""
 
 STEP_SIGMAS = 8.0
 """Means of neighboring windows that differ by more than this number of standard deviations of the
@@ -138,9 +142,9 @@ class RestLimits(NamedTuple):
 
 @dataclass(frozen=True)
 class NoiseFloor:
-    """The noise of a sensor at rest, estimated from windows of ``size`` samples.
+    """The noise of an IMU at rest, estimated from windows of ``size`` samples.
 
-    The arrays are (axes,), in the unit of the samples.
+    The arrays are (axes,). ``step``, ``mean`` and ``lsb`` are in the unit of the samples.
     """
 
     size: int
@@ -148,8 +152,8 @@ class NoiseFloor:
     settings: SegmenterSettings
     variance: Floats  # variance in a window at rest, in the squared unit of the samples
     step: Floats  # standard deviation of the step between the means of neighboring windows
-    mean: Floats  # mean of the samples at rest
-    lsb: Floats  # smallest difference, other than 0, between two successive samples
+    mean: Floats  # mean of the samples at rest, estimated by the median of the window means
+    lsb: Floats  # smallest difference, other than 0, between successive samples; 0 if there is none
     ratio: Floats  # von Neumann ratio of the samples
     clipped: Floats  # share of the samples that are clipped, or 0 if below `MIN_CLIPPED`
     windows: Windows  # windows from which the noise floor was learned
@@ -162,9 +166,11 @@ class NoiseFloor:
     ) -> NoiseFloor:
         """Return the noise floor of samples, of which at least a quarter should be at rest.
 
-        Each part, (axes, n), is a sequence of samples without a gap. Windows in which an axis
-        repeats one value do not contribute to ``variance`` and ``mean`` of this axis, if the axis
-        changes in at least a quarter of the windows.
+        Each part, (axes, n), is a sequence of samples without a gap. A part with fewer than
+        ``size`` samples is one window, and a part with fewer than two samples is ignored. If there
+        is no other part, all numbers are 0, except for ``ratio``, which is NaN. Windows in which an
+        axis repeats one value (`is_stuck`) do not contribute to ``variance`` and ``mean`` of this
+        axis, if the axis changes in at least a quarter of the windows.
         """
         parts = [rows for rows in parts if rows.shape[1] > 1]
         zeros = np.zeros(len(gyro))
@@ -242,20 +248,20 @@ class NoiseFloor:
 
     @property
     def rate_limit(self) -> Floats:
-        """Largest change of a mean at rest, (axes,), in rad/s; infinite for an accelerometer."""
+        """Largest change of a mean rate at rest, (axes,), in rad/s; infinite for accelerometers."""
         return np.where(self.gyro, self.settings.rate_limit, np.inf)
 
     def changed_unit(self, ratio: Floats) -> str:
-        """Return the unit of the gyro at one of two times, or '' if the unit was rad/s at both.
+        """Return the unit of the gyro if the noise shows that the unit is not rad/s, else ''.
 
-        ``ratio``, (axes,), is the standard deviation of the noise at this time, divided by the
-        standard deviation at the other time, at which the unit was rad/s. The result is also '' for
-        fewer than three axes of the gyro, or if the noise of the accelerometer is much larger, too.
+        ``ratio``, (axes,), is the standard deviation of the noise, divided by the standard
+        deviation at another time, at which the unit was rad/s. The result is also '' for fewer than
+        three axes of the gyro, or if the noise of the accelerometer is much larger, too.
         """
         return changed_gyro_unit(ratio[self.gyro], ratio[~self.gyro])
 
     def is_plausible(self) -> bool:
-        """Return whether a sensor at rest can have this noise; if not, the sensor moved."""
+        """Return whether an IMU at rest can have this noise; if not, the IMU moved."""
         white_step = np.sqrt(2.0 / self.size) * np.sqrt(self.scale)
         is_colored = self.step > COLORED_STEP * white_step
         has_large_steps = (self.step > np.where(self.gyro, *PLAUSIBLE_STEP)) & is_colored
@@ -271,7 +277,8 @@ class NoiseFloor:
         """Return the limits of windows of ``size`` samples, also of a short window before a gap."""
         # added to the limits: infinite for an axis without noise
         allowance = np.where(self.scale > 0.0, 0.0, np.inf)
-        # the variance of few samples is uncertain, so short windows are classified by their peak
+        # the variance of few samples is uncertain, so short windows are classified only by their
+        # peak and mean rate
         short_allowance = allowance if size >= LEAST_WINDOW else np.full_like(allowance, np.inf)
         sigma = np.sqrt(self.scale)
         step_sigma = np.maximum(np.sqrt(2.0 / size) * sigma, self.step)
@@ -291,7 +298,7 @@ class NoiseFloor:
     def decreased(self, block: Windows) -> Flags:
         """Return in which windows an axis has much less noise than this floor, (axes, k).
 
-        An axis whose noise floor is below the resolution is never flagged.
+        An axis whose noise floor does not exceed the resolution is never flagged.
         """
         is_resolved = self.variance > self.lsb**2
         is_smaller = DECREASE_RATIO**2 * block.variance < self.variance[:, None]
@@ -307,12 +314,13 @@ class NoiseFloor:
         return float(np.linalg.norm(self.mean[~self.gyro])) if has_three_axes else np.nan
 
     def foreign(self, rows: Floats, windows: Windows, size: int) -> Flags:
-        """Return which windows are not measurements in the units of this noise floor, (k,).
+        """Return which windows do not contain measurements in the units of this floor, (k,).
 
         In such a window, gravity has another magnitude than in the noise floor, or at least the
-        share `IDLE_SHARE` of the samples of a sensor are zero or repeated. Only a sensor with three
-        axes, all with noise above the resolution, is searched for such samples. ``rows``,
-        (axes, k * size), are the samples of the windows.
+        share `IDLE_SHARE` of the samples of a sensor are zero or repeated. Gravity is compared only
+        if the accelerometer has three axes. Only a sensor with three axes, all with noise above the
+        resolution, is searched for zero or repeated samples. ``rows``, (axes, k * size), are the
+        samples of the windows.
         """
         is_foreign = np.zeros(windows.mean.shape[1], bool)
         for axes in self._known_sensors:
@@ -335,7 +343,7 @@ class NoiseFloor:
         """Return whether this noise floor has a wrong unit, and a later noise floor the right unit.
 
         This is so if only the later gravity has the magnitude of gravity in m/s^2, or if the noise
-        of the gyro became smaller by the factor from another unit, such as deg/s, to rad/s.
+        of the gyro decreased by the factor between rad/s and another unit, such as deg/s.
         """
         with np.errstate(invalid='ignore', divide='ignore'):
             if self.changed_unit(np.sqrt(self.variance / later.variance)):
@@ -375,9 +383,9 @@ class NoiseFloor:
         return self.distance(windows) < other.distance(windows)
 
     def distance(self, windows: Windows) -> float:
-        """Return the mean of abs(log(median variance of the windows / variance of this floor)).
+        """Return the mean of abs(log(median variance of the windows / `scale`)) over the axes.
 
-        The mean is over the axes for which this number is finite; it is 0 if there are none.
+        Axes for which this number is not finite are ignored. The mean of no axes is 0.
         """
         with np.errstate(invalid='ignore', divide='ignore'):
             log_ratio = np.log(_quantile(windows.variance, 0.5) / self.scale)
@@ -387,8 +395,8 @@ class NoiseFloor:
     def revived(self, rows: Floats) -> Flags:
         """Return which axes, (axes,), had no noise when the floor was learned, but have noise now.
 
-        Such an axis may have changed in less than a quarter of the windows. ``rows``, (axes, n),
-        are the samples now.
+        Such an axis may have changed when the floor was learned, but in less than a quarter of the
+        windows. ``rows``, (axes, n), are the samples now.
         """
         is_revived = self.variance == 0.0
         if is_revived.any():
@@ -396,10 +404,10 @@ class NoiseFloor:
         return np.asarray(is_revived)
 
     def shows_motion(self, former: NoiseFloor, axes: Flags) -> bool:
-        """Return whether the sensor moved when the noise floor ``former`` was learned.
+        """Return whether the IMU moved when the noise floor ``former`` was learned.
 
         This noise floor was learned later. ``axes``, (axes,), flags the axes whose noise is smaller
-        than before. The sensor moved if the former noise was very large (`SHAKEN_RATIO`), was not
+        than before. The IMU moved if the former noise was very large (`SHAKEN_RATIO`), was not
         stationary or had low frequencies, or if the mean rate or the direction of gravity changed.
 
         Without motion, a fault of a few axes, a setting of the sensor, a fan or another unit
@@ -430,13 +438,13 @@ class NoiseFloor:
     def updated(self, block: Windows, still: Flags, steady: bool) -> NoiseFloor:
         """Return the noise floor updated by a block of k windows.
 
-        ``still``, (k,), flags windows at rest. If at least half of the windows are at rest, the
-        noise and the mean are updated from these windows. A block is ``steady`` if all windows are
-        at rest, or would be at rest if the gyro had another bias. If fewer windows are at rest in a
-        steady block, only the mean is updated, because the bias of the gyro changed suddenly, or
-        was learned during a rotation.
+        ``still``, (k,), flags windows at rest. If at least half of the windows are at rest,
+        ``variance`` and ``mean`` are updated from these windows. A block is ``steady`` if all
+        windows are at rest, or would be at rest if the gyro had another bias. If fewer windows are
+        at rest in a steady block, only ``mean`` is updated, because the bias of the gyro changed
+        suddenly, or was learned during a rotation.
         """
-        if np.count_nonzero(still) >= len(still) // 2:
+        if 2 * np.count_nonzero(still) >= len(still):
             windows_at_rest = block if still.all() else Windows(block.values[:, :, still])
             recent_variance = _quantile(windows_at_rest.variance, QUANTILE)
             variance = self.variance + FLOOR_GAIN * (recent_variance - self.variance)
@@ -449,7 +457,7 @@ class NoiseFloor:
         The ratio of an axis whose noise floor is 0 is 1.
 
         ``rows``, (axes, n), are the samples of the block, and ``block`` are the statistics of its
-        windows. Returns None if no noise has increased, if the sensor moves, or if a ratio is not
+        windows. Returns None if no noise has increased, if the IMU moves, or if a ratio is not
         finite.
         """
         scale = self.scale
@@ -462,12 +470,13 @@ class NoiseFloor:
         return ratio if self._is_at_rest(block, von_neumann_ratio([rows]), has_increased) else None
 
     def _is_at_rest(self, block: Windows, spectrum: Floats, increased: Flags) -> bool:
-        """Return whether the sensor is at rest although the noise of some axes increased.
+        """Return whether the IMU is at rest although the noise of some axes increased.
 
-        ``spectrum``, (axes,), is the von Neumann ratio of the samples of ``block``, and
-        ``increased``, (axes,), flags these axes. The sensor is at rest if the noise is stationary
-        and has a spectrum as broad as the noise floor or white noise, and if neither the mean rate
-        nor the direction of gravity changes.
+        ``spectrum``, (axes,), is the von Neumann ratio of the samples from which ``block`` was
+        computed, and ``increased``, (axes,), flags these axes. The IMU is at rest if the noise is
+        stationary and has nearly as broad a spectrum as the noise floor or white noise, if noise
+        explains the steps between window means, and if neither the mean rate nor the direction of
+        gravity changed.
         """
         median_variance, scale = _quantile(block.variance, 0.5), self.scale
         is_near_median = block.variance <= INCREASE_SPREAD * median_variance[:, None]

@@ -1,9 +1,9 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Levels of the noise at rest: each has its own noise floor, sums and counts.
+"""Levels of the noise at rest: each has its own noise floor, Allan sums and counts.
 
-When the noise changes, a new level begins. At first, the new level is on trial: the sums of the
-previous level remain the result, and continue if the previous noise returns.
+When the noise changes, a new level begins. At first, the new level is on trial: the Allan sums of
+the previous level remain the result, and continue if the previous noise returns.
 """
 
 from __future__ import annotations
@@ -26,21 +26,23 @@ Change = Literal['noise_decreased', 'noise_increased']
 """How the noise of a level differs from the noise of the previous level."""
 
 ExcludedAs = Literal['moving', 'stuck', 'noise_decreased', 'noise_increased']
-"""Field of `Counts` that counts the samples of a noise level whose sums are not the result."""
+"""Field of `Counts` that counts the samples of a noise level if they are not in the result."""
 
 
 class StreamSums(NamedTuple):
-    """Sums and longest segments of data at one sample rate."""
+    """Allan sums and longest segments of data at one sample rate."""
 
     sums: AllanSums
     segments: tuple[Segment, ...]
 
 
 class NoiseLevel:
-    """Sums, segments and counts of the samples at rest at one noise level.
+    """Allan sums, segments and counts of the samples at rest at one noise level.
 
     ``floor`` is the noise floor, None before it is known. ``counts`` are the numbers of used and
-    excluded samples, and of shocks, since the level began.
+    excluded samples, and of shocks, since the level began. ``first_ns`` and ``last_ns`` are the
+    first and the last stamp of the used samples in ns, 0 before the first sample. ``kept`` contains
+    these samples if ``with_samples`` is set.
     """
 
     def __init__(
@@ -60,7 +62,7 @@ class NoiseLevel:
 
     @property
     def samples(self) -> int:
-        """Number of samples in the sums of this level."""
+        """Number of samples in the Allan sums of this level."""
         return self._engine.samples
 
     @property
@@ -70,13 +72,13 @@ class NoiseLevel:
 
     @property
     def clipped(self) -> dict[str, float]:
-        """Axis -> share of its samples that are clipped, for shares of at least `MIN_CLIPPED`."""
+        """Axis -> clipped share of its examined samples, for shares of at least `MIN_CLIPPED`."""
         shares = zip(self.axes, self._clipping.shares.tolist())
         return {axis: share for axis, share in shares if share >= MIN_CLIPPED}
 
     @property
     def result(self) -> StreamSums:
-        """The sums and the longest segments of this level."""
+        """The Allan sums and the longest segments of this level."""
         sums = replace(self._engine.sums, replaced=self._replaced.table)
         return StreamSums(sums, self._segments.items)
 
@@ -109,7 +111,7 @@ class NoiseLevel:
             self._replaced.add(None)
 
     def counted_as(self, excluded: ExcludedAs) -> Counts:
-        """Return the counts of this level if its sums are excluded for the given reason."""
+        """Return the counts of this level if its samples are excluded for the given reason."""
         counts = replace(
             self.counts, used=0, shocks=0, replaced=0, splits=self.counts.splits.copy()
         )
@@ -123,8 +125,8 @@ class NoiseLevels:
     """The present noise level of a stream, and the other level to which the noise may return.
 
     ``start`` returns a new level without samples. ``is_tried`` tells whether the present level is
-    on trial, so that the sums of the other level are the result. ``change`` tells how the noise of
-    the present level differs from the noise of the other level. ``largest_ratio`` and
+    on trial, so that the Allan sums of the other level are the result. ``change`` tells how the
+    noise of the present level differs from the noise of the other level. ``largest_ratio`` and
     ``smallest_ratio``, (axes,), are the extreme ratios of the noise at rest to the noise floor; 1
     for an axis whose noise has not changed.
     """
@@ -139,18 +141,19 @@ class NoiseLevels:
         self.largest_ratio, self.smallest_ratio = np.ones(axes), np.ones(axes)
         self._began_ns = 0  # stamp at which the noise changed to the level on trial
 
-        # how the samples of the other level are counted if its sums are not the result
+        # how the samples of the other level are counted if its Allan sums are not the result
         self._other_is: ExcludedAs = 'moving'
         self._dropped = Counts()  # counts of the levels that were discarded
         self._drops = 0  # number of levels that were discarded after they were the result
 
-        # stamp of the first sample of the first level; None until another level begins
+        # first stamp of the first level with samples; None until this level has ended
         self._first_ns: int | None = None
-        self._last_ns = 0  # last stamp of the most recently discarded level
+        # last stamp of the level that was the result and was discarded most recently
+        self._last_ns = 0
 
     @property
     def published(self) -> NoiseLevel:
-        """The level whose sums are the result."""
+        """The level whose Allan sums are the result."""
         return self.other if self.is_tried and self.other is not None else self.present
 
     @property
@@ -169,11 +172,7 @@ class NoiseLevels:
     @property
     def lost(self) -> int:
         """Number of times that the result was replaced after a motion or a change of the noise."""
-        other, present = self.other, self.present
-        has_earlier_other = (
-            other is not None and not self.is_tried and other.first_ns < present.first_ns
-        )
-        return self._drops + has_earlier_other
+        return self._drops + (not self.is_tried and self._was_replaced(self.other))
 
     @property
     def lost_s(self) -> float:
@@ -196,20 +195,24 @@ class NoiseLevels:
 
     def replace_present(self, floor: NoiseFloor, reason: Literal['moving', 'stuck']) -> None:
         """Discard the present level, which was not noise at rest, and begin another level."""
-        if not self.is_tried:
+        if not self.is_tried and self.present.samples:
             self._drops += 1
-            self._last_ns = self.present.last_ns or self._last_ns
+            self._last_ns = self.present.last_ns
         self._dropped.add(self.present.counted_as(reason))
         self._forget_ratios()
         self._begin(floor)
 
     def try_another(self, floor: NoiseFloor, change: Change, began_ns: int) -> None:
-        """Begin another level on trial. The sums of the present level remain the result."""
+        """Begin another level on trial. The result remains the same.
+
+        A present level that is on trial is discarded. Otherwise, the present level becomes the
+        other level, to which the noise may return.
+        """
         if self.is_tried:
             self._dropped.add(self.present.counted_as(self.change))
         else:
             if self.other is not None:
-                self._drops += self.other.first_ns < self.present.first_ns
+                self._drops += self._was_replaced(self.other)
                 self._dropped.add(self.other.counted_as(self._other_is))
             self.other, self._began_ns = self.present, began_ns
         self.is_tried, self.change = True, change
@@ -251,6 +254,10 @@ class NoiseLevels:
         variances = np.where(decreased, variance, np.nan)[has_decreased]
         ratio = np.sqrt(np.nanmean(variances, axis=1) / floor[has_decreased])
         self.smallest_ratio[has_decreased] = np.minimum(self.smallest_ratio[has_decreased], ratio)
+
+    def _was_replaced(self, level: NoiseLevel | None) -> bool:
+        """Return whether ``level`` has samples at rest that are earlier than the present level."""
+        return level is not None and level.samples > 0 and level.first_ns < self.present.first_ns
 
     def _forget_ratios(self) -> None:
         """Reset the ratios, because they are ratios to a former noise floor."""

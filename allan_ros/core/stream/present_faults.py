@@ -18,8 +18,8 @@ from .windows import Windows, is_stuck
 
 STEADY_CHANGE = 0.1
 """A mean acceleration is compared with gravity if the steps between the means of neighboring
-windows, and the standard deviation in the windows, are at most this fraction of the magnitude of
-the mean acceleration."""
+windows, and the median standard deviation in a window, are at most this fraction of the magnitude
+of the mean acceleration. A magnitude below 0.49 m/s^2 (`WEIGHTLESS`) counts as 0.49 m/s^2."""
 
 LARGER_NOISE = 1.3
 """The noise of an axis is reported as larger than before if the standard deviation of the white
@@ -34,7 +34,7 @@ def present_faults(
     """Return the known faults that explain why the latest windows are not at rest.
 
     ``rows``, (axes, n), are the samples of the windows in the unit of the messages, and ``floor``
-    is the noise of the IMU. ``seconds`` is the time in s for which the IMU has not been at rest.
+    is the noise floor. ``seconds`` is the time in s for which the IMU has not been at rest.
     """
     findings: list[Finding] = []
     for sensor in SENSORS:

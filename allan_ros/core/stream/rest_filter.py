@@ -56,7 +56,7 @@ at rest up to that time."""
 
 MARGIN_BEFORE, MARGIN_AFTER_S = 1, 2.0
 """Number of windows at rest before a motion, and time in s at rest after a motion, that are
-excluded."""
+excluded. After a motion, at least `LEAST_LEVEL` windows are excluded."""
 
 
 def without_spikes(
@@ -64,9 +64,9 @@ def without_spikes(
 ) -> tuple[ImuBatch, Windows, int]:
     """Replace each isolated spike by the mean of the two samples next to it.
 
-    ``size`` is the number of samples in a window. ``before`` and ``after``, (axes, n), are up to
-    `SPIKE_NEIGHBORS` samples on either side of the block. Returns the block, the statistics of its
-    windows, and the number of replaced values. On axes with heavy tails, the spikes stay in the
+    ``block`` consists of windows of ``size`` samples. ``before`` and ``after``, (axes, n), are up
+    to `SPIKE_NEIGHBORS` samples on either side of the block. Returns the block, the statistics of
+    its windows, and the number of replaced values. On axes with heavy tails, the spikes stay in the
     block, and are removed only from the statistics. No sample is replaced if ``size`` is below
     `LEAST_WINDOW`, or on an axis in a window in which more than a few samples deviate.
     """
@@ -188,8 +188,8 @@ class Motion:
     def change(self, floor: NoiseFloor) -> Floats:
         """Return the change of the mean of each axis due to the motion, (axes,).
 
-        The change is in the unit of the samples. It is 0 if noise explains the change, and NaN if
-        the mean before or after the motion is not known.
+        The change is in the unit of the samples. It is 0 if noise explains the change, and NaN for
+        all axes if there are fewer than `LEAST_LEVEL` windows before or after the motion.
         """
         counts = len(self.before), min(self.quiet, len(self._after))
         if min(counts) < LEAST_LEVEL:
@@ -227,7 +227,8 @@ class Motion:
         `REPLACED_SHOCK_SHARE` of its samples at rest.
 
         ``held`` contains the last window before the motion and all windows of the motion. Of the
-        quiet windows at the end, only the first is replaced.
+        quiet windows at the end, only the first is replaced. The replaced windows are returned as
+        one block, which is followed by the other windows.
         """
         if self.level is None or self.change(floor).any():
             return []
@@ -363,15 +364,15 @@ class RestFilter:
             self._cut = self._cut or motion.kind
             motion.level, self._held = None, []
 
-    def name_motion(self, kind: Change, samples: int) -> None:
-        """Count ``samples`` samples as a change of the noise (``kind``) instead of motion.
+    def name_motion(self, kind: Change, number: int) -> None:
+        """Count the last ``number`` samples as a change of the noise (``kind``), not as motion.
 
         The present motion, if any, becomes an event of this kind, and is no shock.
         """
         self.drop_shock()
         counts = self._counts
-        counts.moving -= samples
-        setattr(counts, kind, getattr(counts, kind) + samples)
+        counts.moving -= number
+        setattr(counts, kind, getattr(counts, kind) + number)
         if self.motion is not None:
             self.motion.kind = kind
 

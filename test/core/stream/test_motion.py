@@ -251,3 +251,15 @@ def test_replacing_a_level_without_samples_does_not_change_the_time_of_the_disca
     seconds = levels.lost_s
     levels.replace_present(None, 'moving')
     assert levels.lost_s == seconds == pytest.approx(10, abs=0.01)
+
+
+@pytest.mark.parametrize('is_tried', [False, True])
+def test_a_first_level_without_samples_was_not_the_result(is_tried):
+    levels, *_ = start()
+    if is_tried:
+        levels.try_another(None, 'noise_increased', 10**18)
+        levels.accept()
+    else:
+        levels.replace_present(None, 'moving')
+    levels.present.add(ImuBatch.of_rows(10**18 + np.arange(2000) * 10**9 // RATE, white(10)))
+    assert (levels.lost, levels.lost_s) == (0, 0.0)
