@@ -175,7 +175,8 @@ class ImuWatch(NodePart):
         """Return the status of the input; also publish the sums if the input has changed."""
         self._update()
         self._checkpoint.tick()
-        # before `_health_and_findings`, which stores the number of messages that this compares
+        # called first, because `_health_and_findings` stores the number of messages that
+        # `_is_paused` compares
         is_paused = self._is_paused()
         health, stream_findings = self._health_and_findings()
         statistics = self._input.statistics()
@@ -296,7 +297,7 @@ class ImuWatch(NodePart):
         self._latest_ns: int | None = None
         self._result = self._stream.result()
         self._sums: tuple[AllanSums, ...] = ()  # sums of this run and of earlier runs of the node
-        # whether `_result` must be computed again, because samples were added since then
+        # whether `_result` must be computed again, for example because samples were added
         self._outdated = True
         self._events = ()
 

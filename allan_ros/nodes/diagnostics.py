@@ -145,7 +145,7 @@ def status_of(
             [
                 (FINDING, problems[0].id if problems else 'none'),
                 *pairs,
-                *((f'{FINDING}: {f.id}', f'{when}{node_text(f)}') for f, when in marked_findings),
+                *((f'{FINDING}: {f.id}', f'{mark}{node_text(f)}') for f, mark in marked_findings),
             ]
         ),
     )

@@ -35,7 +35,7 @@ class FirstMessages:
         self._window: tuple[int, int] | None = None
         self._count = 0  # number of messages at the last call of `update`
         self._has_rate = False
-        # of the processed angular rates: number, sum, and sum of squares
+        # number, sum and sum of squares of the processed angular rates
         self._number, self._total, self._squares = 0, np.zeros(3), np.zeros(3)
 
     def update(self, count: int, latest: bytes | None) -> None:

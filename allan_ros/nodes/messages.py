@@ -100,11 +100,11 @@ class Snapshot:
         imu = {'frame_id': self.frame_id, 'hardware_id': self.hardware_id, 'axes': [*self.axes]}
         means = [
             {
-                'axes': list(each_means.axes),
-                'end_ns': each_means.end_ns.tolist(),
-                'values': [[float(f'{value:.9g}') for value in row] for row in each_means.values],
+                'axes': list(stream_means.axes),
+                'end_ns': stream_means.end_ns.tolist(),
+                'values': [[float(f'{value:.9g}') for value in row] for row in stream_means.values],
             }
-            for each_means in self.means
+            for stream_means in self.means
         ]
         faults = [fault.document() for fault in self.faults]
         return {

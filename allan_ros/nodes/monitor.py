@@ -112,12 +112,12 @@ NODES: dict[str, tuple[Callable[[], AllanNode], str]] = {
 
 def main(node: str, args: Sequence[str] | None = None) -> int:
     """Run one of `NODES` and return its exit code."""
-    make, name = NODES[node]
+    make_node, name = NODES[node]
     parser = argparse.ArgumentParser(
         prog=name,
-        description=(make.__doc__ or '').replace('``', ''),
+        description=(make_node.__doc__ or '').replace('``', ''),
         epilog='Parameters are set by ROS arguments: --ros-args -p NAME:=VALUE, '
         '--params-file FILE, -r TOPIC:=OTHER. All parameters are described in '
         'config/allan_ros.yaml and by ros2 param describe.',
     )
-    return run(name, lambda _stop, _options: make(), parser, args)
+    return run(name, lambda _stop, _options: make_node(), parser, args)

@@ -88,10 +88,10 @@ class InputSettings(CheckedSettings):
         if not self.topics or not all(self.topics):
             raise AllanError('input.topics contains no topic: give at least one, such as imu/data')
         for name in ('accel_topics', 'labels', 'hardware_ids'):
-            given = getattr(self, name)
-            if given != ('',) and len(given) != len(self.topics):
+            entries = getattr(self, name)
+            if entries != ('',) and len(entries) != len(self.topics):
                 raise AllanError(
-                    f'input.{name} has {len(given)} entries for {len(self.topics)} topics: '
+                    f'input.{name} has {len(entries)} entries for {len(self.topics)} topics: '
                     'give one for each, in the same order'
                 )
         for label in self.labels:

@@ -117,7 +117,7 @@ class ParameterPush(NodePart):
         self._was_killed = False  # whether values of an earlier program must be restored
         if target:
             self._set = owner.create_client(SetParameters, f'{target}/set_parameters')
-            # created last: a node that answers this client has also discovered the other client
+            # created last, because a node that answers this client has discovered the other, too
             self._get = owner.create_client(GetParameters, f'{target}/get_parameters')
 
     def offer(self, results: Results, bias: Mapping[str, Estimate]) -> None:

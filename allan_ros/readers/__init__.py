@@ -69,7 +69,7 @@ FORMATS = {
 }
 """Name of a format -> description of this format. A folder always has the format 'bag'."""
 
-SUFFIXES = tuple(suffix for form in FORMATS.values() for suffix in form.suffixes)
+SUFFIXES = tuple(suffix for file_format in FORMATS.values() for suffix in file_format.suffixes)
 """Suffixes of the files that are read as recordings if they are in a folder."""
 
 
@@ -79,16 +79,16 @@ def open_recording(path: str | os.PathLike[str], options: ReadOptions = ReadOpti
     Raises AllanError when the recording cannot be opened, or when the options select a topic and
     the format has no topics, or a second topic and the recording is not a bag.
     """
-    place = Path(path)
-    if place.name == METADATA:
-        place = place.parent
-    name = format_of(place)
+    recording_path = Path(path)
+    if recording_path.name == METADATA:
+        recording_path = recording_path.parent
+    name = format_of(recording_path)
     if options.accel_topic and name != 'bag':
-        raise AllanError(f'{place}: is not a bag: omit --accel-topic')
+        raise AllanError(f'{recording_path}: is not a bag: omit --accel-topic')
     if options.topic and not FORMATS[name].has_topics:
-        raise AllanError(f'{place}: has no topics: omit --topic')
+        raise AllanError(f'{recording_path}: has no topics: omit --topic')
     module = import_module(f'.{FORMATS[name].module}', __package__)
-    return cast(Recording, getattr(module, FORMATS[name].opener)(place, options))
+    return cast(Recording, getattr(module, FORMATS[name].opener)(recording_path, options))
 
 
 def topics_of(path: str | os.PathLike[str]) -> list[str]:
@@ -118,11 +118,15 @@ def format_of(path: Path) -> str:
     if os.path.isdir(path):  # unlike `Path.is_dir`, it raises no error if a folder is unreadable
         return 'bag'
     head, suffix = first_bytes(path), path.suffix.lower()
-    by_magic = [name for name, form in FORMATS.items() if head.startswith(form.magics)]
-    by_suffix = [
-        name for name, form in FORMATS.items() if suffix in (*form.suffixes, *form.other_suffixes)
+    formats_by_magic = [
+        name for name, file_format in FORMATS.items() if head.startswith(file_format.magics)
     ]
-    for name in (*by_magic, *by_suffix):
+    formats_by_suffix = [
+        name
+        for name, file_format in FORMATS.items()
+        if suffix in (*file_format.suffixes, *file_format.other_suffixes)
+    ]
+    for name in (*formats_by_magic, *formats_by_suffix):
         return name
     raise AllanError(
         f'{path}: not a known type of recording: give a rosbag2 folder, or a file of the type '

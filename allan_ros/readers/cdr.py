@@ -167,13 +167,15 @@ def decode_imus(
                 is_absent = (variances == ABSENT) | np.isnan(variances)
                 _drop_absent(decoded, sensor, np.arange(n)[rows][is_absent])
         distinct, indices = _distinct(records['frame_id'])
-        frames = []
+        frame_indices = []
         for name in distinct:
             text = name.rstrip(b'\0' if encoding == 'cdr' else b'').decode(errors='replace')
             if text not in decoded.frame_ids:
                 decoded.frame_ids.append(text)
-            frames.append(decoded.frame_ids.index(text))
-        decoded.frames[rows] = frames[0] if len(frames) == 1 else np.array(frames)[indices]
+            frame_indices.append(decoded.frame_ids.index(text))
+        decoded.frames[rows] = (
+            frame_indices[0] if len(frame_indices) == 1 else np.array(frame_indices)[indices]
+        )
     return decoded
 
 

@@ -109,7 +109,7 @@ class Meaning(NamedTuple):
     axis: str = ''  # 'x', 'y' or 'z' for a column of a sensor
     unit: str = ''  # unit according to the name; '' if the name states none
     unknown: str = ''  # text at the place of the unit if it is no known unit; otherwise ''
-    is_si: bool = False  # whether the unit is known to be SI if none is stated
+    is_si: bool = False  # whether the column is known to be in SI if its name states no unit
 
 
 @dataclass(frozen=True)
@@ -185,7 +185,7 @@ class ColumnLayout:
         if len(self.stamp) != 1 or not len(times):
             return self
         ((column, factor),) = self.stamp
-        by_size, by_step = _unit_by_size(times), _unit_by_step(times)
+        unit_by_size, unit_by_step = _unit_by_size(times), _unit_by_step(times)
         if stated:
             unit = stated
         elif self.unclear_time:
@@ -194,16 +194,17 @@ class ColumnLayout:
                 f'unknown: state it with --stamp-unit ({", ".join(STAMP_UNITS)})'
             )
         elif factor == NO_UNIT:
-            unit = by_size or by_step
-        elif by_size and len(times) >= ENOUGH and 0.0 < _step(times) * factor < SHORTEST_NS:
+            unit = unit_by_size or unit_by_step
+        elif unit_by_size and len(times) >= ENOUGH and 0.0 < _step(times) * factor < SHORTEST_NS:
             raise AllanError(
                 f'{where}: the name of column {column + 1} states another unit of time than its '
-                f'values, which are times since 1970 in {by_size}: use --stamp-unit {by_size}'
+                f'values, which are times since 1970 in {unit_by_size}: use --stamp-unit '
+                f'{unit_by_size}'
             )
         else:
             return self
         is_doubtful = unit != 's' or (len(times) >= ENOUGH and _step(times) >= FASTEST_MS)
-        assumed = unit if not stated and not by_size and is_doubtful else ''
+        assumed = unit if not stated and not unit_by_size and is_doubtful else ''
         return replace(self, stamp=((column, STAMP_UNITS[unit]),), time_unit=assumed)
 
 

@@ -354,11 +354,11 @@ def config_file(kind: str, name: str, called: str) -> Path:
         equal_names = [
             known for known in config_names(kind) if _simplified(known) == _simplified(name)
         ]
-        # the only equal name is, for example, mpu-6050 instead of mpu6050
+        # for example, the given name is mpu-6050, and the only known name like it is mpu6050
         for stem in (name.lower(), *(equal_names if len(equal_names) == 1 else ())):
             for folder in config_folders(kind):
                 file = folder / f'{stem}.yaml'
-                if os.path.isfile(file):  # unlike `Path.is_file`, it accepts any name
+                if os.path.isfile(file):  # unlike `Path.is_file`, it never raises an error
                     return file
     raise AllanError(
         f'no {called} {name!r}: {_suggestion(name.lower(), config_names(kind))}, '

@@ -88,12 +88,12 @@ def open_ulog(path: Path, options: ReadOptions) -> Recording:
 
 
 def _parsed(path: Path) -> Any:
-    core = optional_package('pyulog', f'{path}: reading a PX4 log')
+    pyulog = optional_package('pyulog', f'{path}: reading a PX4 log')
     with open_regular(path) as file, redirect_stdout(io.StringIO()):  # the parser prints to stdout
         if os.fstat(file.fileno()).st_size > MAX_LOG_BYTES:
             raise AllanError(f'{path}: is larger than {MAX_LOG_BYTES} bytes: split the log')
         try:
-            return core.ULog(_Limited(file), [*TOPICS, *THERMOMETERS, SELECTION])
+            return pyulog.ULog(_Limited(file), [*TOPICS, *THERMOMETERS, SELECTION])
         except Exception as error:  # the parser may raise any exception
             raise damaged(path, error, REMEDY) from error
 
