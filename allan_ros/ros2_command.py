@@ -48,7 +48,7 @@ class AllanCommand(Base):  # type: ignore[misc]
         parser.add_argument('arguments', nargs=argparse.REMAINDER, metavar='...')
 
     def main(self, *, parser: argparse.ArgumentParser, args: argparse.Namespace) -> int:
-        """Run the verb and return its exit code."""
+        """Run the verb: return the exit code for running nodes, exit with the code for files."""
         verb, words = args.verb, list(args.arguments)
         if verb in NODE_VERBS and not _is_for_files(verb, words):
             from .nodes.__main__ import ros_is_missing
@@ -61,7 +61,7 @@ class AllanCommand(Base):  # type: ignore[misc]
         from .cli.main import console
 
         sys.argv = ['allan', verb, *words]
-        console()
+        console()  # does not return
         return 0
 
 

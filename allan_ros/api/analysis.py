@@ -81,8 +81,8 @@ class ResultSettings(CheckedSettings):
     )
     margin: float = parameter(
         MARGIN,
-        'Margin of the limits: a coefficient exceeds the datasheet or the earlier run if its '
-        'complete 95 % interval lies above the limit by more than this fraction.',
+        'Margin of the limits: a coefficient exceeds the datasheet or the earlier run only if the '
+        'complete 95 % interval of its ratio to the limit lies above 1 + margin.',
         low=0.0,
         high=1.0,
         percent=True,
@@ -216,13 +216,15 @@ def analyze(
         Allan sums are then added and fitted, and the recordings are not read again. Arrays are (n,)
         or (n, axes), with one row per sample.
     rate : float
-        Sample rate in Hz. It is required for samples without stamps. If it is given for an array, a
-        DataFrame or a mapping, it replaces their times. The rate of a recording with stamps, or of
-        an ImuBatch, is only compared with this number; 0 disables this check.
+        Sample rate in Hz; 0 if unknown. It is required for samples without times. If it is given
+        for an array, a DataFrame or a mapping, it replaces their times. For a recording or an
+        ImuBatch with stamps, it is compared with the rate of the stamps. It is also used if these
+        stamps are missing, or if they are bursty and their mean rate is similar.
     axes : str or sequence of str, optional
         The axes of the columns of an array: a name such as ``'gyro_z'``, ``'gyro'`` or ``'accel'``
         for three axes, or a list of names. By default, one column is ``gyro_x``, three columns are
-        the gyro, and six columns are gyro and accelerometer.
+        the gyro, and six columns are gyro and accelerometer. Of a DataFrame or a mapping, only
+        these axes are used. An ImuBatch is used with all its axes.
     gyro_unit, accel_unit : str
         Units of the samples, such as 'deg/s' and 'g', if the source does not state them. The
         defaults are rad/s and m/s^2.
@@ -243,15 +245,16 @@ def analyze(
         limit * (1 + margin). It exceeds the earlier run if it is significantly higher, and the
         complete 95 % interval of the ratio of the two coefficients lies above 1 + margin.
     hardware_id : str
-        Serial number of the IMU. Results with a common axis can be added only if their serial
-        numbers and frame_ids are equal.
+        Serial number of the IMU in recordings and samples; earlier results keep their serial
+        number. Results with a common axis can be added only if their serial numbers and frame_ids
+        are equal.
     processes : int
         Largest number of recordings that are read at the same time, each in its own process. With
-        1, they are read in this process.
+        1, they are read one after the other in this process.
     **options
-        Further options of `allan analyze`, with underscores. For example, ``skip`` is the time in s
-        that is excluded at the start, ``motion_gate=False`` uses all data, and ``topic`` selects a
-        topic of a bag.
+        Options of `allan analyze` for reading and for the data at rest, with underscores. For
+        example, ``skip`` is the time in s that is excluded at the start, ``motion_gate=False`` also
+        uses data in motion, and ``topic`` selects a topic of a bag.
 
     Returns
     -------
@@ -319,8 +322,8 @@ def analyze(
 def read_settings(options: Mapping[str, Any], rate: float) -> tuple[ReadOptions, SegmenterSettings]:
     """Return the settings for reading and the settings for selecting data at rest in ``options``.
 
-    Both settings contain the sample ``rate`` in Hz, which is 0 if unknown. Raises AllanError if an
-    option is unknown or invalid.
+    Both settings contain the sample ``rate`` in Hz, which is 0 if unknown. Raises AllanError if the
+    rate or an option is invalid, or an option is unknown.
     """
     check_rate(rate)
     reading_names = [name for name in describe(ReadOptions) if name != 'rate_hz']
@@ -332,7 +335,10 @@ def read_settings(options: Mapping[str, Any], rate: float) -> tuple[ReadOptions,
 
 
 def _stored(source: PlainResults | str | os.PathLike[str]) -> RecordingSums:
-    """Return the Allan sums of results, or of the earlier analysis at a path."""
+    """Return the Allan sums of results, or of the earlier analysis at a path.
+
+    Raises AllanError if there are no Allan sums.
+    """
     if not isinstance(source, PlainResults):
         return load_sums(source)
     if source.recorded is None:

@@ -215,8 +215,9 @@ class Results(PlainResults):
         """Write results, sums, report, configuration files and figures, and return their paths.
 
         `allan analyze -o` writes the same files. `load` reads the folder again. If the
-        results lack an axis or a number that a configuration file needs, or if their units are
-        probably wrong, this file is omitted, which a finding in the report states.
+        results lack an axis or a number that a configuration file needs, if their units are
+        probably wrong, or if the recording does not show the noise of the sensor, this file is
+        omitted, which a finding in the report states.
 
         Parameters
         ----------

@@ -81,9 +81,9 @@ def compare(
         Results of `analyze` or `load`, or paths of a results.json, a sums.json, the folder of an
         analysis, a recording, or the truth file of a simulated recording. If there is a truth file,
         the other inputs are compared with the truth. In the output, each path has the name of its
-        file without the suffix, or of its folder for a results.json or sums.json. If two names are
-        equal, they are the complete paths. Results of `analyze` or `load` have the names A, B, C
-        ..., according to their position; truth files are placed first.
+        file without the suffix, or of its folder for a results.json or sums.json. If two of these
+        names are equal, all names are the complete paths. Results of `analyze` or `load` have the
+        names A, B, C ..., according to their position; truth files are placed first.
     sensor : str or sequence of str
         Datasheets to compare each recording with: names that `allan sensors` lists, or paths of
         .yaml files.
@@ -168,8 +168,9 @@ def common(*sources: Any, rate: float = 0.0, **options: Any) -> CommonResult:
         that is common to the IMUs) with its interval, and the coherence with the mean of the other
         IMUs at each averaging time. With three or more IMUs, own N is measured for each IMU. With
         two IMUs, only the root mean square of the two values is measured, and is given for both.
-        Own N is None if the IMUs do not measure the common noise equally. With one IMU, ``rows``
-        contains only the coherence of each pair of axes of a sensor.
+        Own N is None if the IMUs measure the common noise with differences other than scale
+        factors, which are corrected. With one IMU, ``rows`` contains only the coherence of each
+        pair of axes of a sensor.
 
     Raises
     ------
@@ -246,16 +247,16 @@ def inflate(
     Returns
     -------
     Inflation
-        ``axes`` contains N and K of each common axis with motors off and on, and their ratio, as in
-        ``axes['gyro_x']['N'].factor``. ``factor`` is the largest factor for N of all axes.
-        ``option`` is the largest factor for N of each sensor, as a value for
-        `allan export --inflate`.
+        ``axes`` contains N and K of each common axis with motors off and on, and the factor by
+        which motors increase them, at least 1, as in ``axes['gyro_x']['N'].factor``. ``factor`` is
+        the largest factor for N of all axes. ``option`` is the largest factor for N of each sensor,
+        as a value for `allan export --inflate`.
 
     Raises
     ------
     AllanError
-        When an input cannot be read, the inputs have no axis in common, N or K of a common axis has
-        neither a value nor a limit, or the horizon is not a number from 1e-3 to 1e9.
+        When an input cannot be read, the inputs have no axis in common, N or K of a common axis
+        cannot be computed, or the horizon is not a number from 1e-3 to 1e9.
 
     Examples
     --------

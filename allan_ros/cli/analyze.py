@@ -118,12 +118,12 @@ the file, from 0 on, to the name of the bag."""
 def recordings_in(path: str, files_are_units: bool = False) -> list[str]:
     """Return the paths of the recordings in a folder, or only ``path`` if it is one recording.
 
-    A folder in the folder is a recording if it contains a metadata.yaml or files of a bag. A folder
-    is one recording if it has a metadata.yaml, or contains only one bag or its numbered parts. With
-    ``files_are_units``, numbered files without metadata.yaml are separate recordings. If a folder
-    contains folders of analyses and no recording, the paths of these folders are returned. A folder
-    that is itself the result of an analysis, or contains nothing to read, is returned as it is,
-    too. The paths are sorted, with the folders of bags before the files.
+    A folder is one recording if it has a metadata.yaml, or if the only recording in it is a bag of
+    one file or of numbered files. With ``files_are_units``, numbered files without metadata.yaml
+    are separate recordings. A subfolder is a recording if it contains a metadata.yaml or files of a
+    bag. If a folder contains folders of analyses and no recording, the paths of these folders are
+    returned. A folder that is itself the result of an analysis, or contains nothing to read, is
+    returned as it is, too. The paths are sorted, with the folders of bags before the files.
     """
     folder = Path(path)
     if not folder.is_dir() or (folder / METADATA).exists() or is_document(folder):

@@ -54,7 +54,7 @@ class Judged:
 
     outcome: Outcome
     decision: Decision
-    word: str  # first word of the printed line: the decision, or the level of the verdict
+    word: str  # beginning of the printed line: the decision, or the level of the verdict
     sentences: Sequence[str]  # reasons of the decision
     check: UnitCheck | None = None  # None if the unit has no results
     note: str = ''  # which earlier unit has the same samples or serial number; '' if none
@@ -85,8 +85,8 @@ class Judge:
     plan : Plan or None
         The test plan; None if there is none.
     decides : bool
-        Whether the line of a unit begins with the decision about the unit; if False, the line
-        begins with the level of its verdict.
+        Whether the line of a unit begins with the decision about the unit. If False, the line of a
+        unit with results begins with the level of its verdict.
     """
 
     def __init__(self, args: argparse.Namespace, plan: Plan | None, decides: bool) -> None:
@@ -131,10 +131,10 @@ class Judge:
 def run_batch(jobs: Sequence[ReadJob], args: argparse.Namespace) -> int:
     """Analyze each recording, write its files, and print one line for each recording.
 
-    With ``--quiet`` and a folder for the output, no lines are printed. If the command line states a
-    folder for the output, a summary of all recordings is written, too. Returns the worst exit code
-    of the recordings. Raises AllanError if the folder or the summary cannot be written, or the
-    cluster cannot be used.
+    With ``--quiet`` and a folder for the output, no lines of text are printed; ``--json`` always
+    prints one JSON object per line. If the command line states a folder for the output, a summary
+    of all recordings is written, too. Returns the worst exit code of the recordings. Raises
+    AllanError if the folder or the summary cannot be written, or the cluster cannot be used.
     """
     console, codes, units = Console.of(args), [], []
     judge = Judge(args, None, decides=False)
@@ -202,7 +202,8 @@ def run_check(
     ------
     AllanError
         When the test plan is invalid, or the folder or the summary cannot be written. Also when the
-        only unit cannot be read, unless the output is JSON.
+        only unit has no results because of an error that the user can fix, unless the output is
+        JSON.
     """
     console, judged_units = Console.of(args), []
     shows_text = not console.json and not (console.quiet and args.output)

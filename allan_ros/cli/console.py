@@ -36,7 +36,7 @@ class Progress:
 
     Nothing is shown if stderr is not a terminal, if the package rich is not installed, or if
     ``shown`` is False. ``total`` is the number of samples or recordings to process; None if it is
-    unknown, in which case only the number of processed samples or recordings is shown.
+    unknown, in which case the number of processed samples or recordings is shown without a bar.
     """
 
     def __init__(self, label: str, total: int | None, shown: bool = True) -> None:
@@ -124,7 +124,7 @@ class Console:
         print(json.dumps(document, indent=1, allow_nan=False))
 
     def line(self, document: Mapping[str, Any]) -> None:
-        """Print a JSON document to stdout as one line, and flush it."""
+        """Print a JSON document to stdout as one line, and flush stdout."""
         print(json.dumps(document, allow_nan=False), flush=True)
 
     def say(self, text: str) -> None:

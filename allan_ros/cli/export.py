@@ -46,9 +46,9 @@ def run(args: argparse.Namespace) -> int:
         console.document({'targets': {name: target.title for name, target in TARGETS.items()}})
         return 0
     if args.list:
-        width = max(map(len, TARGETS))
+        name_width = max(map(len, TARGETS))
         for name, target in TARGETS.items():
-            print(f'{name:{width}}  {target.title}')
+            print(f'{name:{name_width}}  {target.title}')
         return 0
     if bool(args.results) == bool(args.sensor) or not args.to:
         raise AllanError(

@@ -197,7 +197,7 @@ def fit_and_write(
 
 
 def split_by_topic(jobs: Sequence[ReadJob]) -> list[ReadJob]:
-    """Replace each job for a bag with several Imu topics by one job for each of these topics.
+    """Return the jobs, with one job for each topic of a bag that has several Imu topics.
 
     A job for which a topic is selected is kept.
     """

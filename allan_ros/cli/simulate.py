@@ -108,10 +108,10 @@ def run(args: argparse.Namespace) -> int:
     noise = stated_noise(args.preset or '', args.sensor or '', specified_noise, changes)
     samples = samples_in(args.hours * HOUR, args.rate)
     console = Console.of(args)
-    seconds = args.hours * HOUR
+    duration_s = args.hours * HOUR
     noise_of_axes = list(noise.values())
     batches = simulate_imu(
-        seconds,
+        duration_s,
         args.rate,
         noise_of_axes[:3],
         noise_of_axes[3:],
@@ -127,20 +127,20 @@ def run(args: argparse.Namespace) -> int:
         overwrite=args.overwrite,
     )
     truth = write_truth(
-        args.output, noise, seconds=seconds, rate=args.rate, seed=args.seed, faults=faults
+        args.output, noise, seconds=duration_s, rate=args.rate, seed=args.seed, faults=faults
     )
     if console.json:
         console.document(
             {
                 'path': args.output,
                 'samples': n_written,
-                'duration_s': seconds,
+                'duration_s': duration_s,
                 'rate_hz': args.rate,
                 'truth': str(truth),
             }
         )
     elif not console.quiet:
-        length = f'{n_written} samples, {seconds:g} s at {args.rate:g} Hz'
+        length = f'{n_written} samples, {duration_s:g} s at {args.rate:g} Hz'
         print(one_line(f'{args.output}: {length}; truth in {truth}'))
     return 0
 

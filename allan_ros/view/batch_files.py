@@ -45,13 +45,13 @@ class UnitRow:
     reason : str
         Reason for the decision, in one line.
     results : Results or None
-        Results of the recording; None if the recording could not be read.
+        Results of the recording; None if the recording could not be read or analyzed.
     check : UnitCheck or None
-        Decision about the IMU; None if the recording could not be read.
+        Decision about the IMU; None if there are no results.
     report : str
         Path of the report, relative to the summary; '' if there is none.
     exit_code : int
-        Exit code that the command would have for this IMU alone.
+        Exit code for this IMU. The exit code of the command is the worst of all IMUs.
     """
 
     name: str
@@ -260,9 +260,9 @@ class _Frame:
     top: float
 
     def points(self, tau: np.ndarray, adev: np.ndarray) -> str:
-        positive = (adev > 0.0) & np.isfinite(adev) & (tau > 0.0)
-        x = (np.log10(tau[positive]) - self.left) / max(self.right - self.left, 1e-9) * WIDTH
-        y = (self.top - np.log10(adev[positive])) / max(self.top - self.bottom, 1e-9) * HEIGHT
+        is_drawn = (adev > 0.0) & np.isfinite(adev) & (tau > 0.0)
+        x = (np.log10(tau[is_drawn]) - self.left) / max(self.right - self.left, 1e-9) * WIDTH
+        y = (self.top - np.log10(adev[is_drawn])) / max(self.top - self.bottom, 1e-9) * HEIGHT
         return ' '.join(f'{a:.1f},{min(max(b, -99.0), 199.0):.1f}' for a, b in zip(x, y))
 
 
@@ -270,10 +270,10 @@ def _frame(rows: Sequence[UnitRow], sensor: str) -> _Frame:
     curves = [curve for row in rows for curve in _curves(row, sensor).values()]
     tau = np.concatenate([curve.tau for curve in curves])
     adev = np.concatenate([curve.adev for curve in curves])
-    positive = (adev > 0.0) & np.isfinite(adev)
-    if not positive.any():
+    is_positive = (adev > 0.0) & np.isfinite(adev)
+    if not is_positive.any():
         return _Frame(0.0, 1.0, 0.0, 1.0)
-    x, y = np.log10(tau[positive]), np.log10(adev[positive])
+    x, y = np.log10(tau[is_positive]), np.log10(adev[is_positive])
     # percentiles, because a few extreme Allan deviations would otherwise make all curves flat
     bottom, top = np.percentile(y, [1.0, 99.0])
     return _Frame(float(x.min()), float(x.max()), float(bottom) - 0.1, float(top) + 0.1)

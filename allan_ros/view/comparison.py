@@ -121,7 +121,7 @@ RATIO_DIGITS = 3
 
 
 def ratio_text(difference: Check) -> str:
-    """Return a ratio with its 95 % interval, or a limit of the ratio, as text; '' if unknown."""
+    """Return a ratio with its 95 % interval, or its limit, as text; '' without an interval."""
     if difference.ratio.ci95 is None:
         return ''
     low, high = difference.ratio.ci95
@@ -136,7 +136,7 @@ def ratio_text(difference: Check) -> str:
 def verdict_text(difference: Check) -> str:
     """Return the verdict on the second of two recordings: 'alike', 'higher' or 'lower'.
 
-    If the quantity cannot be compared, the text is 'not comparable'.
+    If the comparison is impossible or undecided, the text is 'not comparable'.
     """
     return 'not comparable' if difference.verdict == 'undecided' else difference.verdict
 
@@ -269,7 +269,7 @@ def sentences(comparison: RunComparison) -> Iterator[str]:
     The first sentences name recordings whose coefficients do not describe the sensor, for example
     because it moved. Then one sentence for each further recording compares it with the first
     recording. If ``comparison.within`` is set, further sentences state the results of the tests of
-    equivalence with the first recording. The last sentences judge the recordings with datasheets.
+    equivalence with the first recording. The last sentences compare the recordings with datasheets.
     """
     for label, results in comparison.runs.items():
         for finding in grouped(results.findings):
@@ -314,8 +314,8 @@ def inflation_table(inflation: Inflation) -> Table:
 def deviation_ratio_table(inflation: Inflation) -> Table:
     """Return a table of ratios of Allan deviations: with motors on / with motors off.
 
-    There is a row for each axis, and a column for each of the averaging times `SHOWN_TAU_S` at
-    which a ratio is known.
+    There is a row for each axis, and a column for each averaging time in `SHOWN_TAU_S` near which a
+    ratio with an interval is known for any axis.
     """
     ratios = {axis: inflation.ratios(axis) for axis in inflation.axes}
     cells = {
@@ -366,7 +366,7 @@ def common_table(common: CommonResult, units: str = 'deg/h') -> Table:
 
     There is a row for each axis and IMU. For a single IMU, there is a row for each pair of axes,
     and no N. If the IMUs measure the common noise with different factors, a column contains these
-    factors. Averaging times at which no coherence is known are omitted.
+    factors. Averaging times of `SHOWN_TAU_S` near which no coherence is known are omitted.
     """
     coherence_taus = SHOWN_TAU_S[1:]
     cells = {tau: [_coherence_cell(row, tau) for row in common.rows] for tau in coherence_taus}
@@ -416,6 +416,8 @@ def _coherence_cell(row: CommonNoise, tau: float) -> Cell:
     taus, *coherence_and_limits = row.coherence
     log_ratios = np.abs(np.log(taus / tau))
     nearest = int(np.argmin(log_ratios))
-    if log_ratios[nearest] > np.log(NEAR):
+    value, low, high = (float(number[nearest]) for number in coherence_and_limits)
+    # the coherence of constant samples is NaN
+    if log_ratios[nearest] > np.log(NEAR) or not math.isfinite(value):
         return Cell()
-    return _share_cell(*(float(number[nearest]) for number in coherence_and_limits))
+    return _share_cell(value, low, high)

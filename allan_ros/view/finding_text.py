@@ -66,8 +66,8 @@ def texts_of(finding: Finding, units: str = 'deg/h', spelled: Callable[[str], st
     """Return the message and the remedy of a finding, with its numbers filled in.
 
     ``units`` is 'deg/h' or 'SI'. ``spelled`` is a function that returns the spelling of a unit of
-    measurement, such as `pretty_unit`. If the document of the finding contained its texts
-    (`Finding.stated`), these texts are returned unchanged.
+    measurement, such as `pretty_unit`. If the finding has texts from a document (`Finding.stated`),
+    these texts are returned unchanged.
 
     Examples
     --------
@@ -169,7 +169,7 @@ def _plain_text(value: Any, spec: str) -> str:
 def _quantities_text(
     quantities: Sequence[Estimate], digits: int, units: str, spelled: Callable[[str], str]
 ) -> str:
-    """Return the range of several quantities of one kind, such as '2 to 3 deg/h (1.5 to 4.1)'.
+    """Return quantities of one kind as a range with its interval, such as '2 to 3 ug (1.5 to 4.1)'.
 
     If no value is known, the text states the largest upper limit, such as '< 3 deg/h'.
     """

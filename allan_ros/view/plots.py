@@ -117,7 +117,7 @@ def sensor_figure(results: Results, sensor: str, units: str = 'deg/h') -> Figure
 
 
 def common_figure(common: CommonResult) -> Figure:
-    """Return a figure of the coherence of IMUs with 95 % limits, with a panel for each axis."""
+    """Return a figure of coherences with 95 % limits; each axis or pair of axes has a panel."""
     names = list(dict.fromkeys(row.axis for row in common.rows))
     with rc_context(RC):
         title = 'coherence: 0 for independent, 1 for common noise'

@@ -232,8 +232,8 @@ def in_units(html_of: Callable[[str], str]) -> str:
 def html_table(kind: str, table_of: Callable[[str], Table]) -> str:
     """Return a table as HTML, with its texts in datasheet units and in SI.
 
-    ``table_of`` returns the table for 'deg/h' or 'SI'; both have equal rows and columns. ``kind``
-    is the class of the table in the style sheet.
+    ``table_of`` returns the table for 'deg/h' or 'SI'. Both tables must have the same numbers of
+    rows and columns. ``kind`` is the class of the table in the style sheet.
     """
     tables = {units: table_of(units) for units in UNIT_SYSTEMS}
     first_table = tables[UNIT_SYSTEMS[0]]

@@ -83,6 +83,15 @@ def test_a_delay_leaves_no_own_noise_and_a_factor_is_shown(three: list[ImuBatch]
     assert own == pytest.approx([1e-4, 1.5e-4, 1e-4], rel=0.15)
 
 
+def test_constant_samples_have_no_coherence() -> None:
+    noise = np.random.default_rng(1).normal(size=12_000) * 1e-3
+    constant = np.full(12_000, 0.01)
+    common = ar.common(constant, noise, rate=RATE, motion_gate=False)
+    assert all(np.isnan(row.coherence.value).all() for row in common.rows)
+    assert 'nan' not in repr(common) and 'at 1 s' not in repr(common)
+    assert not any(f.id == 'axis_opposite' for found in common.findings.values() for f in found)
+
+
 def test_the_same_recording_twice_is_refused(three: list[ImuBatch], tmp_path: Path) -> None:
     write_recording(tmp_path / 'a.npz', [three[0]])
     with pytest.raises(AllanError, match='given twice'):

@@ -47,6 +47,10 @@ freedom."""
 LEAST_BLOCK = 64
 """Smallest number of samples of a block of the jackknife."""
 
+ROUNDING_SHARE = 1e-20
+"""Ratio of the variance of one signal to the variance of another signal, below which the first
+signal is regarded as constant, because its variance is due to rounding errors."""
+
 LEAST_DEGREES = 8.0
 """Smallest number of degrees of freedom for which a coherence is computed."""
 
@@ -265,10 +269,13 @@ def _coherence(tau: Floats, covariance: Floats, degrees: Floats, a: Floats, b: F
     """Return the correlation of two weighted sums of sensors, with Fisher's 95 % interval.
 
     ``a`` and ``b`` are the weights of the sensors in both sums, (sensors,). ``degrees`` are the
-    degrees of freedom of the ``covariance`` at each averaging time.
+    degrees of freedom of the ``covariance`` at each averaging time. The correlation is NaN if one
+    of the sums is constant, except for rounding errors.
     """
+    variances = np.stack([covariance @ a @ a, covariance @ b @ b])
+    has_noise = variances.min(axis=0) > ROUNDING_SHARE * variances.max(axis=0)
     with np.errstate(invalid='ignore', divide='ignore'):
-        scale = np.sqrt((covariance @ a @ a) * (covariance @ b @ b))
+        scale = np.where(has_noise, np.sqrt(variances.prod(axis=0)), np.nan)
         value = np.clip(covariance @ a @ b / scale, -1.0, 1.0)
         z, half_width = np.arctanh(value), Z_95 / np.sqrt(degrees - 2.0)
     return Coherence(tau, value, np.tanh(z - half_width), np.tanh(z + half_width))

@@ -55,8 +55,8 @@ const Chart = (() => {
     return values;
   }
 
-  // Return the values that are labeled on an axis: at least three, if they fit. `pixels` is the length
-  // of the axis, and `room` the length that a label occupies.
+  // Return at least three values that are labeled on an axis, with enough room for each label if
+  // possible. `pixels` is the length of the axis, and `room` the length that a label occupies.
   function labeled(log, min, max, pixels, room) {
     const at = (v) => (log ? (Math.log10(v) * pixels) / Math.log10(max / min) : (v * pixels) / (max - min));
     const fits = (values) => values.length >= 3 && values.every((v, i) => i === 0 || at(v) - at(values[i - 1]) >= room);

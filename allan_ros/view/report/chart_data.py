@@ -264,9 +264,9 @@ def trends(results: Results, sensor: str, summary: SignalSummary | None) -> list
     """Return the charts of bias and noise over time, and of the bias over temperature.
 
     The charts are computed from the ``summary`` of the raw signal. The list is empty without a
-    summary, and if the bias is known at fewer than `LEAST_TREND_POINTS` times. The chart of the
-    bias over temperature is missing if the temperature is unknown or nearly constant, or is known
-    at too few of these times.
+    summary or an axis of the sensor, and if the bias is known at fewer than `LEAST_TREND_POINTS`
+    times. The chart of the bias over temperature is missing if the temperature is unknown or nearly
+    constant, or is known at too few of these times.
     """
     names = [name for name in AXES[SENSORS[sensor]] if name in results.axes]
     if summary is None or not names:

@@ -1,8 +1,8 @@
 // Copyright 2026 the allan_ros authors
 // SPDX-License-Identifier: Apache-2.0
-// The charts of one sensor: Allan deviation, noise density, bias and noise over time, raw signal.
-// The color of a line shows the axis; its dashes and a letter show the term. Each function draws charts
-// of one kind into an HTML element, and returns the charts.
+// The charts of the report: Allan deviation, noise density, bias and noise over time, raw signal,
+// temperature, and error in motion. The color of a line shows the axis; its dashes and a letter show the
+// term. Each function of `Charts` draws the charts of one kind into an HTML element, and returns them.
 'use strict';
 
 const Charts = (() => {
