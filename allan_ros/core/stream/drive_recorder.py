@@ -209,7 +209,7 @@ class DriveRecorder:
         return drive_errors(Drive(pending.start, tau0, gyro, accel, before, second_rest, follows))
 
     def _mean(self, parts: Iterable[Floats], latest: bool = False) -> Rest | None:
-        """Return the means of samples of a rest, or None if the rest is too short.
+        """Return the means of samples of a rest; None if the rest is shorter than `LEAST_STOP_S`.
 
         With ``latest``, only the samples in the last `REST_S` seconds are averaged.
         """
@@ -222,7 +222,7 @@ class DriveRecorder:
         return Rest(mean[:3], mean[3:], seconds)
 
     def _samples_before(self, stamp_ns: int) -> tuple[Floats, bool]:
-        """Remove the samples before a stamp; return them, (n, 6), and whether they have a gap."""
+        """Remove the samples before a stamp; return them, (n, 6), and whether one follows a gap."""
         parts, is_split = [], False
         while self._raw and self._raw[0].stamps_ns[0] < stamp_ns:
             block = self._raw.popleft()

@@ -130,7 +130,8 @@ class DriveErrors:
         at the rests.
     slow : (blocks, 9, 6) array
         Residuals per unit of the mean error of each axis in each block. The sum over the blocks is
-        0 for each axis, because ``accel_bias`` contains the effect of a constant bias.
+        0 for each axis: the mean of the gyro at the first rest is subtracted, and ``accel_bias``
+        contains the effect of a constant bias of the accelerometer.
     block : float
         Duration of a block of ``slow`` in s.
     accel_bias : (9, 3) array
@@ -165,7 +166,7 @@ class DriveErrors:
         """Return cause -> covariance of the residuals, (9, 9), due to white noise.
 
         The causes are 'gyro' and 'accel' for the noise of each sensor during the drive, and 'rests'
-        for the noise of both sensors at the rests. ``density`` contains N of the six axes in SI.
+        for the noise of both sensors at the rests. ``density``, (6,), contains N of the axes in SI.
         """
         squares = np.square(density)[:, None, None]
         drive_covariances = squares * self.white
@@ -178,7 +179,7 @@ class DriveErrors:
     def slow_covariance(self, axis: int, slow: DriftCovariance) -> Floats:
         """Return the covariance of the residuals, (9, 9), due to slow noise of one axis.
 
-        ``axis`` is the index of the axis, and ``slow`` is the autocovariance of its noise.
+        ``axis`` is the index of the axis, and ``slow`` returns the autocovariance of this noise.
         """
         lags = np.arange(len(self.slow))
         weights, autocovariance = self.slow[:, :, axis], np.asarray(slow(self.block, lags))

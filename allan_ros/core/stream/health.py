@@ -20,7 +20,7 @@ from ..imu import AXES, SAMPLE_UNITS, SENSORS, STANDARD_GRAVITY, UNITS, Floats, 
 from ..settings import SegmenterSettings
 
 State = Literal['waiting', 'learning', 'at_rest', 'moving', 'noise_increased', 'noise_decreased']
-"""'waiting': no usable sample yet. 'learning': sample rate or noise floor are not known yet.
+"""'waiting': no usable sample yet. 'learning': the sample rate or the noise floor is not known yet.
 'at_rest': the IMU is at rest, or motion detection is switched off, and its data are used. 'moving':
 the IMU moves, an axis is stuck, or the samples are not plausible measurements. 'noise_increased':
 the IMU is at rest, but its noise is larger than the noise floor. 'noise_decreased': the noise of an
@@ -393,9 +393,10 @@ def changed_gyro_unit(gyro: Floats, accel: Floats = NO_AXES) -> str:
 
 
 def probable_gyro_unit(n: float) -> str:
-    """Return the unit other than rad/s in which the N of a gyro is most typical.
+    """Return the unit, other than rad/s, with which N is nearest to N of a typical gyro.
 
-    ``n`` is N in an unknown unit. A value below `LARGEST_N` is replaced by `LARGEST_N`.
+    ``n`` is N, computed from samples in the unknown unit. A value below `LARGEST_N` is replaced by
+    `LARGEST_N`.
     """
     factors = {unit: UNITS[unit].factor for unit in SAMPLE_UNITS['gyro'][1:]}
     return min(factors, key=lambda unit: abs(math.log(max(n, LARGEST_N) * factors[unit] / USUAL_N)))
@@ -410,7 +411,7 @@ def sums_findings(sums: AllanSums) -> list[Finding]:
 def _equal_axes(sums: AllanSums) -> list[Finding]:
     """Return a finding for each pair of axes with equal Allan sums.
 
-    Such axes are copies of one axis, due to an error in the driver. Axes without noise are not
+    Such axes are copies of one axis, because of an error in the driver. Axes without noise are not
     compared.
     """
     if not len(sums.sum_sq):

@@ -7,10 +7,11 @@ Method
 The stream is classified in windows of about half a second, or of 16 samples if these last longer. A
 window is moving if its variance, its largest deviation, the step of its mean or its mean angular
 rate exceeds a limit, if its noise is much smaller, or if its samples are not plausible. The limits
-are derived from the noise floor, which is the noise of the sensor at rest. A window of white noise
-is classified as moving with a probability below 1e-8 (at 50 Hz and above, 1e-11), so N has no bias.
-The variance at which a motion begins is larger than the variance at which the motion ends
-(hysteresis). Some windows before and after a motion are also excluded.
+are derived from the settings and the noise floor, which is the noise of the IMU at rest. A window
+of white noise is classified as moving with a probability below 1e-8 (at 50 Hz and above, 1e-11), so
+the exclusion of windows does not bias N. The variance at which a motion begins is larger than the
+variance at which the motion ends (hysteresis). Some windows before and after a motion are also
+excluded.
 
 First, isolated spikes are replaced. On an axis whose noise has heavy tails, isolated large values
 are noise: they stay in the data and are not regarded as motion. The samples of a shock are also
@@ -64,9 +65,9 @@ CHECKED_WINDOWS = BLOCK_WINDOWS // 4
 
 ESTABLISHED_S = 45.0
 """A noise level with less than this time in s at rest, or with clipped samples, is not established.
-If the noise increases after such a level, the low noise was due to a fault or to another setting of
-the low-pass filter at the start. The increased noise then counts as normal at once, unless it
-exceeds the noise floor by more than `SHAKEN_RATIO` on at least `MOVING_AXES` axes."""
+If the noise increases after such a level, the low noise is attributed to a fault or to another
+setting of the low-pass filter at the start. The increased noise then counts as normal at once,
+unless it exceeds the noise floor by more than `SHAKEN_RATIO` on at least `MOVING_AXES` axes."""
 
 FAULTY_S = 600.0
 """Time in s for which decreased noise is regarded as a fault, even if the decreased noise has
@@ -150,12 +151,13 @@ class MotionGate:
 
     @property
     def noise(self) -> dict[str, float]:
-        """Axis -> present standard deviation of the white noise; empty if the IMU moves.
+        """Axis -> present standard deviation of the white noise, in the unit of the samples.
 
         The noise is computed from the differences of neighboring samples in the latest
-        `CHECKED_WINDOWS` windows. These must be at rest, or have larger noise without a motion.
-        While the first noise level has fewer windows, the result is empty. While a later noise
-        level has fewer windows, the noise at the start of this level is returned.
+        `CHECKED_WINDOWS` windows. The result is empty unless all these windows are at rest, or
+        have larger noise without a motion. While the first noise level has fewer windows, the
+        result is empty. While a later noise level has fewer windows, the noise at the start of this
+        level is returned.
         """
         recent = self._recent.last(CHECKED_WINDOWS)
         if len(recent) < CHECKED_WINDOWS:  # the noise level has just begun
@@ -281,10 +283,9 @@ class MotionGate:
     def _classify(self, buffered: ImuBatch, end: int, size: int) -> None:
         """Classify the samples before the index ``end``, in windows of ``size`` samples.
 
-        If no other level can fit the windows up to the end of the block of `BLOCK_WINDOWS` better,
-        and if all these windows are at rest, they are classified together. Otherwise, only the
-        windows up to the next check are classified together, because the check may begin another
-        level.
+        If no other level can fit the windows better, and if all windows up to the end of the block
+        (`BLOCK_WINDOWS`) are at rest, they are classified together. Otherwise, only the windows up
+        to the next check are classified together, because the check may begin another level.
         """
         position = 0
         while position < end:
@@ -354,7 +355,7 @@ class MotionGate:
     def _check(self, is_unchanged: bool) -> None:
         """Change the noise level if another one fits the latest windows better; update the floor.
 
-        ``is_unchanged`` tells that the present level is known to fit best.
+        ``is_unchanged`` tells whether the present level is known to fit best.
 
         Changed noise may be the noise of the IMU from now on, or be due to a fault. It is regarded
         as normal when it has lasted longer than the noise before, and, if the noise decreased, for
@@ -504,7 +505,7 @@ class MotionGate:
 
 
 def _without_gaps(blocks: Iterable[ImuBatch]) -> list[ImuBatch]:
-    """Return the blocks, with blocks joined between which there is no gap."""
+    """Return the blocks; successive blocks without a gap between them are joined."""
     groups: list[list[ImuBatch]] = []
     for block in blocks:
         if block.cut or not groups:

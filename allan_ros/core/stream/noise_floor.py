@@ -25,8 +25,8 @@ LEAST_WINDOW = 16
 fewer samples is too uncertain."""
 
 QUANTILE = 0.25
-"""The noise floor is this quantile of the variances of the windows. Therefore, up to three quarters
-of the windows may contain motion."""
+"""The noise floor is this quantile of the variances of the windows. Therefore, up to about three
+quarters of the windows may contain motion."""
 
 MAD_TO_SIGMA = 1.4826
 """Ratio of the standard deviation of a zero-mean normal variable to the median of its absolute
@@ -50,11 +50,12 @@ MOVING_AXES = 2
 one."""
 
 SAME_GRAVITY = 0.15
-"""Largest relative change of the magnitude of the mean specific force that a motion causes. A fault
-or a change of the unit causes a larger change."""
+"""Largest relative change of the magnitude of the mean specific force that is attributed to a
+motion. A larger change is attributed to a fault or to another unit."""
 
 GRAVITY_CHANGE = 0.5
-"""Largest change of the magnitude of the mean specific force, in m/s^2, due to a changed bias."""
+"""Largest change of the magnitude of the mean specific force, in m/s^2, that is attributed to a
+changed bias."""
 
 IDLE_SHARE = 0.4
 """A window with at least this share of idle samples does not consist of measurements. A sample is
@@ -166,11 +167,12 @@ class NoiseFloor:
     ) -> NoiseFloor:
         """Return the noise floor of samples, of which at least a quarter should be at rest.
 
-        Each part, (axes, n), is a sequence of samples without a gap. A part with fewer than
-        ``size`` samples is one window, and a part with fewer than two samples is ignored. If there
-        is no other part, all numbers are 0, except for ``ratio``, which is NaN. Windows in which an
-        axis repeats one value (`is_stuck`) do not contribute to ``variance`` and ``mean`` of this
-        axis, if the axis changes in at least a quarter of the windows.
+        ``gyro``, (axes,), flags the axes of the gyro. Each part, (axes, n), is a sequence of
+        samples without a gap. A part with fewer than ``size`` samples is one window, and a part
+        with fewer than two samples is ignored. If there is no other part, all numbers are 0, except
+        for ``ratio``, which is NaN. Windows in which an axis repeats one value (`is_stuck`) do not
+        contribute to ``variance`` and ``mean`` of this axis, if the axis changes in at least a
+        quarter of the windows.
         """
         parts = [rows for rows in parts if rows.shape[1] > 1]
         zeros = np.zeros(len(gyro))
@@ -243,7 +245,7 @@ class NoiseFloor:
 
     @cached_property
     def scale(self) -> Floats:
-        """Variance from which the thresholds are computed, (axes,): at least (lsb / 2)^2."""
+        """Variance from which the limits are computed, (axes,): at least (lsb / 2)^2."""
         return np.maximum(self.variance, 0.25 * self.lsb**2)
 
     @property
@@ -316,11 +318,11 @@ class NoiseFloor:
     def foreign(self, rows: Floats, windows: Windows, size: int) -> Flags:
         """Return which windows do not contain measurements in the units of this floor, (k,).
 
-        In such a window, gravity has another magnitude than in the noise floor, or at least the
-        share `IDLE_SHARE` of the samples of a sensor are zero or repeated. Gravity is compared only
+        In such a window, the mean specific force has another magnitude than at rest, or at least
+        the share `IDLE_SHARE` of the samples of a sensor are idle. The magnitude is compared only
         if the accelerometer has three axes. Only a sensor with three axes, all with noise above the
-        resolution, is searched for zero or repeated samples. ``rows``, (axes, k * size), are the
-        samples of the windows.
+        resolution, is searched for idle samples. ``rows``, (axes, k * size), are the samples of the
+        windows.
         """
         is_foreign = np.zeros(windows.mean.shape[1], bool)
         for axes in self._known_sensors:

@@ -356,7 +356,7 @@ class RestFilter:
         self.motion, self._cut = None, cut
 
     def drop_shock(self) -> None:
-        """Exclude the windows of the present motion, if any, because it is no shock."""
+        """Exclude the windows of the present motion, if any, because the motion is no shock."""
         motion = self.motion
         if motion is not None and motion.level is not None:
             self._counts.moving += sum(map(len, self._held))
