@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Compare a measured number with limits, or with the same number of another recording.
 
-`check_limits` compares a number with limits. `differences` tests whether two recordings differ: two
-files, a recording and an earlier one, or the last hour of a stream and the time before that hour.
+`check_limits` compares a number with limits. `differences` tests for each pair of recordings
+whether the second differs from the first.
 
 Method
 ------
