@@ -198,7 +198,8 @@ class AxisResult:
         True
         """
         parts = self.fit.model.contributions(self._tau(m), self.tau0)
-        # the Allan variance that represents a low-pass filter is negative, so it has no square root
+        # the Allan variance that represents a low-pass filter can be negative, so that it has no
+        # square root
         return {name: np.sqrt(avar) for name, avar in parts.items() if np.all(avar >= 0.0)}
 
     def limit_adev(self, m: ArrayLike) -> dict[str, NDArray[np.float64]]:

@@ -64,7 +64,7 @@ class Checkpoint:
         Finding that the file is not used, because it was damaged and was renamed, or because its
         sums had a wrong unit of measurement; None otherwise.
     refused : Finding or None
-        The reason why the file cannot be replaced at present.
+        The reason why the file cannot be replaced at present; None if there is no such reason.
     """
 
     def __init__(
@@ -234,7 +234,7 @@ class Checkpoint:
             self._refuse(reason)
             return
         self.loaded = finding('checkpoint_corrupt', path=self.path, aside=new_path, reason=reason)
-        self._log.warning(str(self.loaded))
+        self._log.warning(self._words(self.loaded))
 
     def _move_wrong_unit(self) -> None:
         """Rename the file if possible, and no longer add its sums to the present sums."""
@@ -267,7 +267,7 @@ class Checkpoint:
         was_refused = self.refused is not None
         self.refused = finding('checkpoint_refused', path=self.path, reason=reason)
         if not was_refused:
-            self._log.warning(str(self.refused))
+            self._log.warning(self._words(self.refused))
 
     def _locked(self, on_error: bool) -> bool:
         """Acquire the lock, and return whether this node has it.
@@ -281,7 +281,7 @@ class Checkpoint:
             return on_error
         if owner:
             self._in_use = finding('checkpoint_in_use', path=self.path, owner=owner)
-            self._log.warning(str(self._in_use))
+            self._log.warning(self._words(self._in_use))
             self._clear()
             self._owned, self.loaded, self._unsaved = False, None, None
         return not owner

@@ -179,7 +179,7 @@ def load(path: str | os.PathLike[str], method: str = 'likelihood') -> Results:
     different analyses, or when the Allan sums cannot be fitted.
     """
     expect(PATH, 'a path', path=path)
-    # unlike `Path.is_dir`, it raises no error if a folder is unreadable
+    # unlike `Path.is_dir`, `os.path.isdir` raises no error if a folder is unreadable
     is_folder, document_path = os.path.isdir(path), Path(path)
     if is_folder:
         has_sums, has_results = (os.path.isfile(document_path / n) for n in (SUMS, RESULTS))

@@ -24,11 +24,11 @@ CHANGE_WORDS: dict[Judgement, str] = {'alike': 'typical', 'higher': 'noisier', '
 
 
 def measured_values(results: Results) -> dict[tuple[str, str], Estimate]:
-    """Return (sensor, term) -> N or B in SI, for each term that is resolved on all measured axes.
+    """Return (sensor, term) -> N or B in SI, for each term that the axes of the sensor resolve.
 
-    Terms without a 95 % interval on one of these axes are excluded. The value is the root mean
-    square of the values of the axes of the sensor. The interval extends over the intervals of all
-    these axes.
+    A term is excluded if a measured axis of the sensor does not resolve the term, or has no 95 %
+    interval of the term. The value is the root mean square of the values of the measured axes. The
+    interval extends over the intervals of all these axes.
     """
     estimates = {}
     for sensor, term in ((sensor, term) for sensor in SENSORS for term in 'NB'):

@@ -86,8 +86,8 @@ SCALES: Mapping[str, Mapping[str, float]] = {
 the quantity. Units in `UNITS` are not repeated here."""
 
 ABOUT_THE_DATA = ('duration', 'used', 'temperature')
-"""Quantities of the recording, not of the IMU. Outside its limits, the check of such a quantity is
-'undecided' instead of 'exceeds'."""
+"""Quantities of the recording, not of the IMU. If such a quantity lies outside its limits, the
+verdict of its check is 'undecided' instead of 'exceeds'."""
 
 SIGNED = ('bias', 'temperature_drift')
 """Quantities that can be negative, and therefore need both limits."""

@@ -85,7 +85,8 @@ def read_specification(path: str | os.PathLike[str]) -> tuple[Fields | None, Fau
 def read_noise(path: str | os.PathLike[str]) -> AxesNoise:
     """Read the noise of an IMU from a specification: axis -> noise model in SI.
 
-    Axes that the file does not name have no noise. Raises AllanError if the file is invalid.
+    Axes of which the file states nothing have no noise. Raises AllanError if the file cannot be
+    read or is invalid.
     """
     stated, _ = read_specification(path)
     return with_noise(NO_NOISE, stated or Fields({}, str(path)))

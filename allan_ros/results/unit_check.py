@@ -118,7 +118,7 @@ def check_unit(results: Results, plan: Plan | None = None) -> UnitCheck:
     checks = plan.checks(results) if plan else ()
     unchecked = tuple(plan.unchecked(results)) if plan else ()
     plan_verdicts = {check.verdict for check in checks}
-    # with too few data or a wrong unit of measurement, a comparison with a datasheet means nothing
+    # with unsuitable data, a comparison with a datasheet or an earlier result means nothing
     is_comparable = not results.is_too_short and not any(
         f.id in (*WRONG_UNITS, *UNSUITABLE) for f in findings
     )

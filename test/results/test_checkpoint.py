@@ -137,6 +137,20 @@ def test_a_file_of_another_version_is_not_changed(tmp_path: Path, sums: Sums, op
     assert path.read_text() == content
 
 
+def test_problems_are_logged_as_text(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    path = tmp_path / 'sums.json'
+    checkpoints = []
+    for content in ('damaged', '{"schema": "allan_ros/sums_file/99"}', ''):
+        path.write_text(content)
+        checkpoints.append(Checkpoint(path, LOG, lambda f: f'text of {f.id}'))
+        if content == 'damaged':
+            checkpoints[-1].close()
+    for checkpoint in checkpoints[1:]:
+        checkpoint.close()
+    expected = ['checkpoint_corrupt', 'checkpoint_refused', 'checkpoint_in_use']
+    assert [record.message for record in caplog.records] == [f'text of {id}' for id in expected]
+
+
 OTHER_IMUS = [sums_of('other'), sums_of(period_ns=2 * 10**7)]
 NAMES = ['another IMU', 'another rate']
 

@@ -316,7 +316,7 @@ class DriveLikelihood:
         value -= float(np.linalg.slogdet(d_matrix)[1].sum()) + float(
             np.square(theta / prior_stds).sum()
         )
-        # the blocks of V^-1 on its diagonal, one for each drive
+        # the diagonal blocks of V^-1, one for each drive
         v_inverse_blocks = inverse - d_inverse_u @ covariance @ d_inverse_u.swapaxes(1, 2)
         scores = np.empty((len(self.y), len(scaled)))
         for k, m in enumerate(scaled):

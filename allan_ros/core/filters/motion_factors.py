@@ -304,8 +304,7 @@ def _with_causes(
     """Return the fit with all causes, and a dict: cause -> increase of 2 log L by this cause.
 
     The causes are added one by one, as long as the next cause increases 2 log L by at least
-    `GAIN_CAUSE`.
-    The dict also contains a rotation that a matrix has replaced.
+    `GAIN_CAUSE`. The dict also contains a rotation that a matrix has replaced.
     """
     best, gains = fit_without_causes, {}
     while names := [name for name in CAUSES if name not in best.causes]:

@@ -164,9 +164,10 @@ def reduce_model(model: Model, states: States = 'walk', horizon: float = HORIZON
     Returns
     -------
     Reduction
-        With 'none' and 'walk', no ratio is below 1, except for rounding errors. With 'processes',
-        the predicted error may be up to 5 % smaller than with the complete model, because B is
-        approximated. If ``horizon`` is shorter than 1 s, it may be much smaller.
+        With 'none' and 'walk', `Reduction.ratio` is at least 1, except for rounding errors. With
+        'processes', the predicted error may be up to 5 % smaller than with the complete model,
+        because B is approximated. If ``horizon`` is shorter than 1 s, the predicted error may be
+        much smaller.
 
     Notes
     -----

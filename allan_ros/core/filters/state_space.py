@@ -188,8 +188,9 @@ def state_space(model: Model) -> StateSpace:
 
     Bias instability becomes the Gauss-Markov processes of `flicker_processes`. These processes lack
     the components of bias instability that are slower than the longest correlation time T.
-    Therefore, K^2 of the random walk is increased by B^2/(3 pi T). Processes without own states,
-    such as quantization, a ramp or a sinusoid, are excluded (see `has_states`).
+    Therefore, K^2 of the random walk is increased by B^2/(3 pi T). Except for white noise,
+    processes without own states, such as quantization, a ramp or a sinusoid, are excluded (see
+    `has_states`).
     """
     n, b, k = (model.value(letter) for letter in 'NBK')
     slow_walk = b / math.sqrt(3.0 * math.pi * LONGEST_TIME_S)
