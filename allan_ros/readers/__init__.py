@@ -74,14 +74,12 @@ SUFFIXES = tuple(suffix for file_format in FORMATS.values() for suffix in file_f
 
 
 def open_recording(path: str | os.PathLike[str], options: ReadOptions = ReadOptions()) -> Recording:
-    """Open the recording at a path: a file, or a folder that contains a bag.
+    """Open the recording at a path: a file, a folder that contains a bag, or its metadata.yaml.
 
     Raises AllanError when the recording cannot be opened, or when the options select a topic and
     the format has no topics, or a second topic and the recording is not a bag.
     """
-    recording_path = Path(path)
-    if recording_path.name == METADATA:
-        recording_path = recording_path.parent
+    recording_path = _recording_path(path)
     name = format_of(recording_path)
     if options.accel_topic and name != 'bag':
         raise AllanError(f'{recording_path}: is not a bag: omit --accel-topic')
@@ -97,7 +95,7 @@ def topics_of(path: str | os.PathLike[str]) -> list[str]:
     Topics without messages are included only if no Imu topic has messages. The list is also empty
     if the bag has more Imu topics than `rosbag2.MAX_TOPICS`.
     """
-    bag_path = Path(path)
+    bag_path = _recording_path(path)
     try:
         if format_of(bag_path) != 'bag':
             return []
@@ -106,6 +104,12 @@ def topics_of(path: str | os.PathLike[str]) -> list[str]:
         return imu_topics(bag_path)
     except AllanError:
         return []
+
+
+def _recording_path(path: str | os.PathLike[str]) -> Path:
+    """Return a path, or the folder of a bag if the path is the metadata.yaml in this folder."""
+    recording_path = Path(path)
+    return recording_path.parent if recording_path.name == METADATA else recording_path
 
 
 def format_of(path: Path) -> str:

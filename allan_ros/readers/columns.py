@@ -259,8 +259,8 @@ def columns_of(where: object, names: Iterable[str], options: ReadOptions) -> Col
         Name of the table in error messages.
     names : iterable of str
         Names of the columns. If several columns contain times, `_STAMPS` states which of them are
-        used. Of several columns with the same kind of time, or with a temperature in a known unit,
-        the first is used.
+        used. Of several columns with the same kind of time, or with a temperature, the first is
+        used; a temperature in an unknown unit is ignored.
     options : ReadOptions
         Units for columns whose names state no unit, and raw counts per unit of the samples.
 

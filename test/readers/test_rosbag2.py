@@ -16,7 +16,7 @@ from support.recordings import imu_batches, outcome, read, refused
 
 from allan_ros.core.errors import AllanError
 from allan_ros.core.imu import ImuBatch, joined
-from allan_ros.readers import open_recording
+from allan_ros.readers import open_recording, topics_of
 from allan_ros.readers.cdr import IMU_TYPE, encode_imus
 from allan_ros.readers.writing import write_recording
 from allan_ros.view.finding_text import finding_line
@@ -76,6 +76,7 @@ def test_splits_are_one_recording(storage: str, metadata: bool, tmp_path: Path) 
 def test_a_bare_file_and_the_metadata_file_are_the_bag_too(storage: str, tmp_path: Path) -> None:
     write_bag(tmp_path / 'bag', imu_batches(30), storage)
     for path in (f'bag/bag{SUFFIX[storage]}', 'bag/metadata.yaml', 'bag'):
+        assert topics_of(tmp_path / path) == ['/imu/data']
         assert len(read(tmp_path / path).stamps_ns) == 30
 
 
