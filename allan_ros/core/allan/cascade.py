@@ -21,9 +21,9 @@ subtracted from all samples.
 
 Time
 ----
-For six axes, the sums take about 170 ns per sample on a virtual AMD EPYC: the second differences
-60 ns (level 0 takes 40 ns), the octave spectra 75 ns (level 0 takes 55 ns), and the sums of periods
-15 ns.
+For six axes, the sums take about 170 ns per sample on a virtual AMD EPYC. In this time, the second
+differences take 60 ns (level 0 takes 40 ns), the octave spectra 75 ns (level 0 takes 55 ns), and
+the sums of periods 15 ns.
 """
 
 from __future__ import annotations
@@ -154,7 +154,7 @@ def _half_tapers(o: int, kind: str) -> Floating:
     """
     step, size, bins = octave(o)
     half_tapers = np.split(tapers(size, bins).T / step, 2)
-    columns = [part(half) for half in half_tapers for part in (np.real, np.imag)]
+    columns = [component(half) for half in half_tapers for component in (np.real, np.imag)]
     return np.concatenate(columns, axis=1).astype(kind)
 
 
@@ -186,7 +186,7 @@ class _Rows(NamedTuple):
     """
 
     octave: int
-    half: int  # points per half block
+    half_size: int  # points per half block
     number: int  # number of half blocks of each axis
     begin: int  # first row of the octave
     end: int  # row after the last row of the octave
@@ -205,9 +205,9 @@ def _layout(octaves: range, axes: int, n: int) -> _Layout:
     """Return which rows of a matrix belong to each octave, if there are n points (`_Layout`)."""
     rows: list[_Rows] = []
     for o in octaves:
-        half, begin = octave(o).size // 2, rows[-1].end if rows else 0
-        if number := n // half:
-            rows.append(_Rows(o, half, number, begin, begin + axes * number))
+        half_size, begin = octave(o).size // 2, rows[-1].end if rows else 0
+        if number := n // half_size:
+            rows.append(_Rows(o, half_size, number, begin, begin + axes * number))
     first_rows = [np.zeros(0, np.int64), *(np.arange(r.begin, r.end, r.number) for r in rows)]
     firsts = np.concatenate(first_rows)
     return _Layout(rows, firsts, firsts + np.repeat([r.number - 1 for r in rows], axes))
@@ -331,21 +331,21 @@ def _group_sums(
     parts = -(-samples.shape[1] // part)
     sums = np.zeros((octave_count, parts, axes, columns))
     blocks, pairs = np.zeros((2, parts, octave_count), np.int64)
-    for i, (o, half, number, begin, end) in enumerate(layout.octaves):
+    for i, (o, half_size, number, begin, end) in enumerate(layout.octaves):
         squares = all_squares[begin:end].reshape(axes, number, columns)
         # the first flag is the flag of the last spectral block before these points
         is_used = np.ones(number + 1, bool)
         is_used[0] = previous_halves.used[i]
         if not all_blocks_are_used:
             points = np.zeros(samples.shape[1]) if interpolated is None else interpolated
-            counts = points[: number * half].reshape(number, half).sum(axis=1)
+            counts = points[: number * half_size].reshape(number, half_size).sum(axis=1)
             counts = np.concatenate([previous_halves.interpolated[i : i + 1], counts])
             is_used[1:] = counts[:-1] + counts[1:] <= MAX_INTERPOLATED * octave(o).length
             last.interpolated[i] = counts[-1]
         last.used[i] = is_used[-1]
         is_pair, weights = is_used[1:] & is_used[:-1], is_used[1:].astype(float)
         for k in range(parts):
-            part_blocks = slice(k * part // half, (k + 1) * part // half)
+            part_blocks = slice(k * part // half_size, (k + 1) * part // half_size)
             blocks[k, i] = np.count_nonzero(is_used[1:][part_blocks])
             pairs[k, i] = np.count_nonzero(is_pair[part_blocks])
             # this product takes less time than a sum over the second dimension
@@ -367,8 +367,8 @@ def _squared_amplitudes(
         return np.zeros((0, previous_products.shape[2]))
     rows, columns, kind = layout.octaves[-1].end, previous_products.shape[2], samples.dtype.str
     products, amplitudes = _work.arrays(kind, (rows, 2 * columns), (rows, columns))
-    for o, half, number, begin, end in layout.octaves:
-        half_blocks = samples[:, : number * half].reshape(-1, half)
+    for o, half_size, number, begin, end in layout.octaves:
+        half_blocks = samples[:, : number * half_size].reshape(-1, half_size)
         np.matmul(half_blocks, _half_tapers(o, kind), out=products[begin:end])
     first_half, second_half = products[:, :columns], products[:, columns:]
     # the amplitude of a block is the sum of the products of its two halves
@@ -378,7 +378,7 @@ def _squared_amplitudes(
         previous_products[:octave_count].reshape(-1, columns) + second_half[layout.firsts]
     )
     last_products[:octave_count] = first_half[layout.lasts].reshape(octave_count, -1, columns)
-    # the products are not needed any more, and squares of large samples exceed float32
+    # The memory of the products is used again. Squares of large samples would exceed float32.
     squares = products.reshape(-1).view('f8')[: amplitudes.size].reshape(amplitudes.shape)
     np.square(amplitudes, out=squares, dtype='f8')
     return squares
@@ -390,11 +390,11 @@ def _second_differences(points: Floats, summed: int, level: CascadeLevel) -> tup
     The sums are (parts, 2 * factors, axes), and the numbers are (parts, 2 * factors). The first
     half of the second dimension is for all differences that end in a part of the block. The other
     half is for the non-overlapping differences. They are not divided into periods, so the first
-    part contains the sums over the complete block.
+    part contains the sums of non-overlapping differences over the complete block.
 
-    ``points``, (axes, `_KEPT` + n), are `_KEPT` earlier points, of which only the last ``summed``
-    are in the segment, and the n points of a block. Only differences that end in the block are
-    counted.
+    ``points``, (axes, `_KEPT` + n), are `_KEPT` earlier points and the n points of a block.
+    ``summed`` is the number of points of the segment before the block. Only differences that start
+    in the segment and end in the block are counted.
     """
     axes, columns = points.shape
     x = points.reshape(-1)  # operations on one long row take less time than on short ones
@@ -464,8 +464,8 @@ class Cascade:
     def feed(self, samples: Floats, interpolated: NDArray[np.bool_] | None) -> Iterator[Block]:
         """Add samples, (axes, n), and yield the parts of the blocks that become full.
 
-        The samples have the unit of the reference. ``interpolated``, (n,), flags the interpolated
-        samples; None means that there are none.
+        The samples are added while the result is iterated. They have the unit of the reference.
+        ``interpolated``, (n,), flags the interpolated samples; None means that there are none.
         """
         position, n = 0, samples.shape[1]
         lowest_level = self._levels[0]

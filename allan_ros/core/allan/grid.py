@@ -69,9 +69,9 @@ def allan_variance(sum_sq: Floats, m: NDArray[np.int64], count: NDArray[np.int64
     ``count`` is 0, and 0 where it would be below `MIN_VARIANCE`. ``sum_sq`` is (factors, axes),
     ``m`` and ``count`` are (factors,).
     """
-    number = m.astype(float) ** 2 * count  # int64 would overflow after weeks at 1 kHz
+    squared_m_count = m.astype(float) ** 2 * count  # int64 would overflow after weeks at 1 kHz
     with np.errstate(invalid='ignore', divide='ignore'):
-        variance: Floats = sum_sq / (2.0 * number[:, None])
+        variance: Floats = sum_sq / (2.0 * squared_m_count[:, None])
     return np.where(variance < MIN_VARIANCE, 0.0, variance)
 
 

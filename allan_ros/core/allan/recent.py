@@ -157,8 +157,8 @@ def _steps(degrees: Floats, squares: Floats) -> tuple[int, int, int] | None:
     """Return the indices of the periods after the first and the last step, and of the factor.
 
     ``degrees`` are the degrees of freedom, and ``squares`` are the sums of squares, of each period
-    and averaging factor, (rows, factors). The first step is the most significant step at all
-    factors. Later steps are searched for only at the factor of the first step. Returns None if no
+    and averaging factor, (rows, factors). The first step is the most significant step at any
+    factor. Later steps are searched for only at the factor of the first step. Returns None if no
     step is significant.
     """
     degrees, squares = np.cumsum(degrees, axis=0), np.cumsum(squares, axis=0)

@@ -52,13 +52,13 @@ class _RunningPeriod:
     def plus(self, levels: Iterable[LevelSums]) -> _RunningPeriod:
         """Return the period with the given sums added to the sums of the same levels."""
         summed = list(self.levels)
-        for added in levels:
-            for j in range(len(summed), added.level):
-                summed.append(LevelSums.zero(j, added.values.shape[1]))
-            if added.level == len(summed):
-                summed.append(added)
+        for level_sums in levels:
+            for j in range(len(summed), level_sums.level):
+                summed.append(LevelSums.zero(j, level_sums.values.shape[1]))
+            if level_sums.level == len(summed):
+                summed.append(level_sums)
             else:
-                summed[added.level] = summed[added.level] + added
+                summed[level_sums.level] = summed[level_sums.level] + level_sums
         return _RunningPeriod(self.begin, self.start, self.samples, self.total, tuple(summed))
 
     def extended(self, later: _RunningPeriod) -> _RunningPeriod:

@@ -360,7 +360,7 @@ def _from_means(
     ``m`` is the averaging factor. The differences start ``stride`` samples apart, or one block
     apart if a block is longer. The sum is 0.0 if there are no differences.
     """
-    number, squares = 0, 0.0
+    difference_count, squares = 0, 0.0
     for means in (means for r in recordings for means in r.means):
         step = means.step
         if m % step or 2 * m > len(means.values) * step:
@@ -370,9 +370,9 @@ def _from_means(
         d = (phase[2 * lag :] - 2.0 * phase[lag:-lag] + phase[: -2 * lag])[
             :: max(stride // step, 1)
         ]
-        number += len(d)
+        difference_count += len(d)
         squares = squares + (d**2).sum(axis=0)
-    return number, squares
+    return difference_count, squares
 
 
 def _lengths(lengths: Lengths, samples: int) -> Lengths:

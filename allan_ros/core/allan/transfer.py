@@ -136,7 +136,7 @@ def _leak(spectra: Spectra, blocks: float) -> float:
             np.einsum('a,fab,b->f', x, spectra, x).real for x in (pair_weights, third_weights)
         )
         cross_spectrum = np.einsum('a,fab,b->f', pair_weights, spectra, third_weights)
-        if not power.all() or not third_power.all():  # constant samples
+        if not power.all() or not third_power.all():  # the samples of a sensor are constant
             continue
         # without third sensors, the sum of both sensors is used instead, so that the cross spectrum
         # contains own noise
@@ -168,7 +168,7 @@ def _gains(spectra: Spectra) -> Floats:
     """
     sensor_count = spectra.shape[1]
     gains = np.ones(sensor_count)
-    if not np.einsum('faa->fa', spectra).all():  # constant samples
+    if not np.einsum('faa->fa', spectra).all():  # the samples of a sensor are constant
         return gains
     if sensor_count == 2:
         cross_spectrum = np.maximum(spectra[:, 0, 1].real, 0.0)

@@ -190,8 +190,8 @@ class Model:
         noise, are excluded. A resonance is replaced by white noise with the same density at 0 Hz.
         """
         drift = self.where(lambda process: process.is_drift)
-        added = sum(part.value**2 * part.process.density_at_zero for part in self.parts)
-        return drift.changed(N=math.sqrt(self.value('N') ** 2 + added)) if added else drift
+        density = sum(part.value**2 * part.process.density_at_zero for part in self.parts)
+        return drift.changed(N=math.sqrt(self.value('N') ** 2 + density)) if density else drift
 
     @property
     def has_drift(self) -> bool:
@@ -300,8 +300,9 @@ class Model:
         step = CONTINUOUS * float(min(h.min(initial=1.0), w.min(initial=1.0)))
         variances: dict[Process, Floats] = {}
         for process, value, *_ in self.parts:
-            unit = step**2 * growth_variance(process.in_unit(step), h / step, w / step)
+            unit_variance = step**2 * growth_variance(process.in_unit(step), h / step, w / step)
             with np.errstate(over='ignore'):
-                variance = np.minimum(process.variance_of(value, step) * unit, LARGEST_VARIANCE)
+                variance = process.variance_of(value, step) * unit_variance
+                variance = np.minimum(variance, LARGEST_VARIANCE)
             variances[process] = variances.get(process, np.zeros(np.shape(h))) + variance
         return variances

@@ -18,9 +18,9 @@ LETTERS = 'QNBKR'
 def _classes() -> Iterator[type[Process]]:
     for module in iter_modules(processes.__path__):
         loaded = import_module(f'{processes.__name__}.{module.name}')
-        for value in vars(loaded).values():
-            if isinstance(value, type) and value.__module__ == loaded.__name__:
-                yield value
+        for member in vars(loaded).values():
+            if isinstance(member, type) and member.__module__ == loaded.__name__:
+                yield member
 
 
 def _sort_key(kind: type[Process]) -> tuple[int, int, str]:

@@ -47,13 +47,13 @@ class GaussMarkov(Process):
         decay = np.expm1(-((np.maximum(j, 1.0) - 1.0) * x + 1.0 / time))
         at_lag = mean**2 * decay + (mean - 1.0) * (mean + 1.0)
         # lag 0: the mean of exp(-|a - b|/T) - 1 over all pairs of samples a, b of one mean
-        half = 0.5 / time
+        half_rate = 0.5 / time
         pair_mean = (
-            M / math.tanh(half) + np.expm1(-x) / (2.0 * math.sinh(min(half, 300.0)) ** 2)
+            M / math.tanh(half_rate) + np.expm1(-x) / (2.0 * math.sinh(min(half_rate, 300.0)) ** 2)
         ) / M**2
         # series for the mean of exp(-u) - 1 with u = |a - b|/T: means of -u, u^2/2 and -u^3/6
-        lag = (M - 1.0 / M) / (3.0 * time)
-        series = -lag + (M**2 - 1.0) / (12.0 * time**2) - x**3 / 60.0 * (1.0 - 1.0 / M**2)
+        mean_lag = (M - 1.0 / M) / (3.0 * time)
+        series = -mean_lag + (M**2 - 1.0) / (12.0 * time**2) - x**3 / 60.0 * (1.0 - 1.0 / M**2)
         return np.asarray(np.where(j >= 1, at_lag, np.where(x < 1e-3, series, pair_mean - 1.0)))
 
     @property
