@@ -76,7 +76,7 @@ class _Pending(NamedTuple):
     start: float  # time of the first sample of the drive in s
     rows: Floats  # samples of the drive, (n, 6)
     before: Rest  # the rest before the drive
-    follows: bool  # whether the previous drive ended at the rest before this drive
+    follows: bool  # whether another used drive ended at the rest before this drive
 
 
 class DriveRecorder:

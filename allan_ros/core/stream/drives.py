@@ -89,7 +89,7 @@ class Drive:
     before, after : Rest
         The rests before and after the drive.
     follows : bool
-        Whether the previous drive ended at the rest ``before``.
+        Whether another used drive ended at the rest ``before``.
     """
 
     start: float
@@ -120,7 +120,7 @@ class DriveErrors:
     turned : float
         Integral of the magnitude of the angular rate over the drive, in rad.
     follows : bool
-        Whether the previous drive ended at the first rest.
+        Whether another used drive ended at the first rest.
     force, end : (3,) array, (3, 3) array
         f1 (mean specific force at the first rest) in m/s^2, and C(T) of the module text.
     residual : (9,) array
