@@ -19,7 +19,7 @@ Allan deviations at equal averaging times are compared by the F distribution of 
 variances with their equivalent degrees of freedom (NIST SP 1065 section 5.3.1).
 
 Many comparisons are made at once. Holm's procedure (Scandinavian Journal of Statistics 6, 1979)
-keeps the probability of one or more false detections below `FAMILY_ERROR`, even if the comparisons
+limits the probability of one or more false detections to `FAMILY_ERROR`, even if the comparisons
 are dependent.
 """
 
@@ -104,7 +104,7 @@ class Check:
     lower, upper : float or None
         The limits; None for no limit. In a comparison with another recording, ``upper`` is the
         value or the upper limit from the other recording; None if that number is 'likely',
-        unknown, or has no interval.
+        unknown, or has no finite interval above 0.
     ratio : Estimate
         Ratio of the measured number to ``upper``, unknown without an ``upper`` above 0. If only one
         of two recordings resolves the number, the ratio has no value, and its interval (if any)
@@ -186,9 +186,9 @@ class Check:
         """Return the check with the number of the other recording as an upper limit.
 
         The verdict is 'exceeds' if the number is significantly higher than in the other recording,
-        and the complete 95 % interval of the ratio lies above 1 + ``margin``. It is 'undecided' if
-        only one of the recordings resolves the number, and the interval of the ratio reaches above
-        1 + ``margin``. Otherwise it is 'within'. Returns None if the recordings could not be
+        and the complete 95 % interval of the ratio lies above 1 + ``margin``. Otherwise, it is
+        'undecided' if only one of the recordings resolves the number and the interval of the ratio
+        reaches above 1 + ``margin``, else 'within'. Returns None if the recordings could not be
         compared.
         """
         if self.p is None or self.ratio.ci95 is None or self.upper is None:
@@ -292,7 +292,7 @@ def differences(pairs: Iterable[tuple[str, Run, Run]]) -> list[tuple[Check, ...]
 
     For each axis that both recordings have, the five terms are compared, and then the Allan
     deviations at averaging times that both curves cover. The verdicts are corrected for the total
-    number of comparisons in all pairs: the probability of one or more false detections is below
+    number of comparisons in all pairs: the probability of one or more false detections is at most
     `FAMILY_ERROR`.
 
     Parameters
@@ -381,7 +381,7 @@ def _judged(check: Check, is_significant: bool) -> Judgement:
     if check.p is None or check.ratio.ci95 is None:
         return 'undecided'
     if not is_significant:
-        # If only one recording resolves the coefficient, equality cannot be concluded.
+        # if only one recording resolves the coefficient, equality cannot be concluded
         return 'undecided' if check.ratio.value is None else 'alike'
     return 'higher' if check.ratio.ci95[0] > 1.0 else 'lower'
 

@@ -37,9 +37,9 @@ upper end of an interval that begins at 0, and the probability of missing the tr
 for both. Feldman & Cousins (Phys. Rev. D 57, 1998) unify intervals and limits in the same way."""
 
 RESOLVED_HALF_WIDTHS = 2.58 / Z_95
-"""A number that may be negative is resolved if its magnitude is at least this multiple of half the
-width of its 95 % interval. The expected rate of false alarms is 1 % (two-sided). R was found on
-1.0 % of 900 axes without R."""
+"""A number that may be negative is resolved if its magnitude exceeds half the width of its 95 %
+interval by more than this factor. The expected rate of false alarms is 1 % (two-sided). R was found
+on 1.0 % of 900 axes without R."""
 
 VALUE_DIGITS, LIMIT_DIGITS = 4, 3
 """Numbers of significant digits of a value, and of a limit or an end of an interval."""
@@ -55,10 +55,11 @@ class Estimate:
     Attributes
     ----------
     value : float or None
-        The estimate with its sign, also if the number is not resolved; None if unknown.
+        The estimate with its sign, also if the number is not resolved; None if it is unknown, or
+        if a number that is not resolved is estimated as 0.
     recording_ci95 : (low, high) or None
-        95 % interval of the value for this recording; None for a number that is not resolved, or
-        if the method gives no interval.
+        95 % interval of the value for this recording; None if it is unknown, as for a coefficient
+        that is not resolved, or of method 'paper'.
     upper95 : float or None
         95 % upper limit of a number that is not resolved; None if there is no limit. For a number
         that can be negative, ``upper95`` limits the magnitude.
@@ -69,14 +70,15 @@ class Estimate:
     lower95 : float or None
         95 % lower limit of a number whose interval has no upper end, else None.
     predictive_ci95 : (low, high) or None
-        95 % interval of the value in another hour of the same sensor; None if the scatter between
-        hours is unknown.
+        95 % interval of the value in another hour of the same sensor; None if the noise does not
+        vary significantly within the recording, or if the interval is unknown.
     name : str
         Name of the number, such as 'N' or 'frequency'; '' if unknown.
     unit : str
         Unit of the value, the intervals and the limits; '' for a ratio, or if unknown.
     axis : str
-        Axis of the IMU, such as 'gyro_z', or sensor; '' if the number belongs to no axis or sensor.
+        Axis of the IMU, such as 'gyro_z', or sensor; '' if the number belongs to no axis or sensor,
+        or if unknown.
 
     Examples
     --------
@@ -326,6 +328,8 @@ def significant(value: float, digits: int) -> str:
 
 def duration_text(seconds: float, digits: int = 2) -> str:
     """Return a duration as text in s, min, h or days, rounded to ``digits`` significant digits.
+
+    ``digits`` is at most 6.
 
     >>> duration_text(90.0), duration_text(1234.0, digits=3), duration_text(86400.0 * 3.456)
     ('90 s', '20.6 min', '3.5 days')

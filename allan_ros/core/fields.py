@@ -41,7 +41,7 @@ _REQUIRED = object()
 
 
 def plain(value: Any, names: Mapping[str, str] = {}) -> Any:
-    """Convert dataclasses, named tuples, mappings, sequences and arrays to JSON values.
+    """Convert dataclasses, named tuples, mappings, lists, tuples and arrays to JSON values.
 
     An object with a method ``document`` becomes the value that this method returns. NaN and
     infinity become None. ``names`` maps the name of a field to its key in the document, for fields

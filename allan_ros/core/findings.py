@@ -75,10 +75,10 @@ class Finding:
     severity : 'error', 'warning' or 'info'
     axes : tuple of str
         The affected axes; empty if all axes are affected, or if the finding is not about axes.
-    values : mapping of str to int, float, str or Estimate
+    values : mapping of str to int, float, str, Estimate, tuple or None
         The values in the text: quantities in SI, times in s, frequencies in Hz, angles in deg,
-        shares from 0 to 1. In a merged finding, a value is a tuple if the axes have different
-        values.
+        shares from 0 to 1. An optional value is None if it is missing. In a merged finding, a value
+        is a tuple if the axes have different values.
     stated : (message, remedy) or None
         Text of a finding that was read from a document of another version, if the present catalog
         does not contain its id or its values; else None.
@@ -160,15 +160,17 @@ def finding(id: str, axes: tuple[str, ...] = (), **values: object) -> Finding:
     axes : tuple of str
         The affected axes; empty for all axes, or if the finding is not about axes.
     values : int, float, str, Estimate or tuple of Estimate
-        The values that the catalog lists for this id. Only optional values and ``when``, a text
-        such as ' in the last 20 s', may be missing. A quantity is given as the result of
-        `quantity`, or as a number in SI. The sensor of such a number is the value ``sensor`` or, if
-        this value is missing, the sensor of the first axis.
+        The values that the catalog lists for this id; other values are ignored. Only optional
+        values and ``when``, a text such as ' in the last 20 s', may be missing. A quantity is given
+        as the result of `quantity`, or as a number in SI. The sensor of such a number is the value
+        ``sensor`` or, if this value is missing, the sensor of the first axis.
 
     Raises
     ------
     KeyError
         When the id is unknown, or a value is missing.
+    IndexError
+        When a quantity is a number, and neither ``sensor`` nor an axis is given.
     """
     entry, stored = CATALOG[id], {}
     for name, term in entry.values.items():

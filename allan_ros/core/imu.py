@@ -145,11 +145,11 @@ class ImuBatch:
 def joined(batches: Sequence[ImuBatch], copy: bool = False) -> ImuBatch:
     """Return one batch with the samples of one or more consecutive batches.
 
-    Batches without samples are ignored. The result has the ``cut`` of the first batch and the
-    frame_id of the last batch, and the samples of each axis are contiguous in memory. The record
-    times are None unless all these batches have record times. If only one batch has samples, the
-    result is this batch itself, and if no batch has samples, the first batch itself; with ``copy``,
-    a copy of this batch.
+    Batches without samples are ignored. Of the other batches, the result has the ``cut`` of the
+    first batch and the frame_id of the last batch. The record times are None unless all of these
+    batches have record times. The samples of each axis are contiguous in memory. If only one batch
+    has samples, the result is this batch itself, and if no batch has samples, the first batch
+    itself; with ``copy``, a copy of this batch.
     """
     parts = [part for part in batches if len(part)] or list(batches[:1])
     if len(parts) == 1 and not copy:

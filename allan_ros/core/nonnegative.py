@@ -34,6 +34,12 @@ def nonnegative_least_squares(
     array, shape (columns,)
         The unknowns x.
 
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        When the singular value decomposition of columns of ``matrix`` does not converge, as with
+        NaN.
+
     Examples
     --------
     >>> import numpy as np

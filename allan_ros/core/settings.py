@@ -196,7 +196,7 @@ class SegmenterSettings(CheckedSettings):
     stamps: str = fixed_parameter(
         'header',
         'Sample times: header uses the header stamps, or the record times if the stamps are zero, '
-        'mostly equal or in no order; record always uses the record times.',
+        'mostly equal or in no order; record uses the record times if the source has record times.',
         choices=('header', 'record'),
     )
     declared_rate: float = fixed_parameter(

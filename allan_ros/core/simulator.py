@@ -153,7 +153,7 @@ def _period(name: str, given: Any) -> tuple[float, float]:
 def samples_in(seconds: float, rate: float) -> int:
     """Return the number of samples in ``seconds`` at ``rate`` Hz.
 
-    Raises AllanError if this is less than one sample, or if the duration or rate is implausible.
+    Raises AllanError if the number is rounded to 0, or if the duration or rate is implausible.
     """
     check_range(0.0, 1e10, 's', seconds=seconds)
     check_range(1e-6, 1e6, 'Hz', rate=rate)
@@ -203,8 +203,8 @@ def simulate_imu(
     """Simulate a recording with known noise, and yield its samples in batches.
 
     Every axis and every fault has its own random numbers, so an added fault does not change the
-    random numbers of the noise or of the other faults. The random numbers of a jitter are for the
-    samples that are not lost.
+    random numbers of the noise or of the other faults. An exception is the jitter: it is drawn only
+    for the samples that are not lost.
 
     Parameters
     ----------
@@ -227,8 +227,8 @@ def simulate_imu(
     Raises
     ------
     AllanError
-        When the duration or the rate is out of range, the duration is shorter than one sample, the
-        seed is negative, or the samples do not fit into memory.
+        When the first batch is requested, and the duration or the rate is out of range, the number
+        of samples is rounded to 0, the seed is negative, or the samples do not fit into memory.
     """
     n, tau0 = samples_in(seconds, rate), 1.0 / rate
     if seed < 0:

@@ -97,7 +97,7 @@ class StampChoice:
     def learn(self, first: ImuBatch) -> list[Finding]:
         """Choose the stamps from the first samples, and return the findings about the choice."""
         stamps = first.stamps_ns
-        self.use_record = self._is_record_wanted
+        self.use_record = self._is_record_wanted and first.record_ns is not None
         if self.use_record:
             return []
         self._unit, self._unusable = 1, False

@@ -121,6 +121,14 @@ def test_record_times_replace_constant_stamps():
         assert ('stamps_unusable' in ids(result)) == (stamps == 'header')
 
 
+def test_header_stamps_are_used_and_examined_without_the_requested_record_times():
+    t, x = still(5000)
+    result = accumulate(t, x, stamps='record')
+    assert_identical(result.sums[0], accumulate(t, x).sums[0])
+    assert result.health.stamps == 'header'
+    assert 'stamps_missing' in ids(accumulate(t * 0, x, stamps='record'))
+
+
 @pytest.mark.parametrize('declared', [100.0, 200.0])
 def test_a_declared_rate_is_only_checked_unless_there_are_no_stamps(declared):
     t, x = still(5000)
