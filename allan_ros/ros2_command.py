@@ -26,7 +26,7 @@ NODE_VERBS = {
 """Verb that shows running nodes -> help text."""
 
 WITH_VALUE = ('--node', '--seconds', '--web')
-"""Options of the verbs in `NODE_VERBS` that are followed by a value."""
+"""Options of the verbs in `NODE_VERBS` that can be followed by a value."""
 
 
 class AllanCommand(Base):  # type: ignore[misc]
@@ -61,12 +61,12 @@ class AllanCommand(Base):  # type: ignore[misc]
         from .cli.main import console
 
         sys.argv = ['allan', verb, *words]
-        console()  # does not return
+        console()  # exits with the exit code of the verb
         return 0
 
 
 def _is_for_files(verb: str, words: list[str]) -> bool:
-    """Return whether ``verb`` is a verb of `allan`, and ``words`` contain a file or ``--help``."""
+    """Return whether ``verb`` is a verb of `allan`, and ``words`` name a file or ask for help."""
     from .cli.main import VERBS
 
     file_names = [

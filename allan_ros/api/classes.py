@@ -153,7 +153,8 @@ class Results(PlainResults):
         Raises
         ------
         AllanError
-            When the results have no sensor or axis ``what``, or an argument is invalid.
+            When the results have no sensor or axis ``what``, an argument is invalid, or matplotlib
+            is missing.
         """
         from ..view.plots import draw_axes, sensor_figure
 
@@ -182,7 +183,7 @@ class Results(PlainResults):
         target : str
             An export target from the list of `allan export --list`, such as 'kalibr'.
         path : path, optional
-            File or folder to which the text is also written.
+            File to which the text is also written, or an existing folder for the file.
         **options
             Options of `allan export` with underscores, such as ``inflate=2``,
             ``inflate={'gyro': 2, 'accel': 3}`` or ``motion=True``.
@@ -238,7 +239,7 @@ class Results(PlainResults):
         ------
         AllanError
             When the results have no Allan sums, an argument is invalid, the folder has results of
-            another recording, or a file cannot be written.
+            another recording, a file cannot be written, or matplotlib is missing for figures.
         """
         from ..view.result_files import check_plots, write_result_files
 

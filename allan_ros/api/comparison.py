@@ -40,7 +40,10 @@ class CommonResult(PlainCommonResult):
         return '\n'.join(common_lines(self))
 
     def plot(self) -> Any:
-        """Draw the coherence against the averaging time, and return the matplotlib Figure."""
+        """Draw the coherence against the averaging time, and return the matplotlib Figure.
+
+        Raises AllanError if matplotlib is missing.
+        """
         from ..view.plots import common_figure
 
         return common_figure(self)

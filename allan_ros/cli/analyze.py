@@ -10,6 +10,7 @@ import sys
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from itertools import chain
 from pathlib import Path
 
 from ..api.analysis import ResultSettings, is_document
@@ -142,7 +143,7 @@ def _contains_a_bag(path: Path) -> bool:
     """Return whether a path is a folder with a metadata.yaml, or directly with files of a bag."""
     try:
         return any(child.name.endswith((METADATA, *BAG_SUFFIXES)) for child in path.iterdir())
-    except OSError:  # no folder, or an unreadable one
+    except OSError:  # the path is a file or an unreadable folder
         return False
 
 
@@ -201,7 +202,7 @@ def run(args: argparse.Namespace) -> int:
         if getattr(args, name) and not args.output:
             raise AllanError(f'--{name} needs a folder: give one with -o')
     console = Console.of(args)
-    paths = [path for given in args.inputs for path in recordings_in(given)]
+    paths = [path for input_path in args.inputs for path in recordings_in(input_path)]
     jobs = read_jobs(paths, args, bool(args.output))
     if len(paths) == 1 or (len(paths) > len(args.inputs) and not are_two_sensors(jobs)):
         topic_jobs = split_by_topic(jobs)
@@ -307,7 +308,8 @@ def check(args: argparse.Namespace) -> int:
     if args.serial_from:
         SerialRule(args.serial_from)
     units: dict[str, list[str]] = {}
-    for path in (p for given in args.inputs for p in recordings_in(given, files_are_units=True)):
+    paths_of_inputs = (recordings_in(path, files_are_units=True) for path in args.inputs)
+    for path in chain.from_iterable(paths_of_inputs):
         bag = Path(path).parent
         is_split = Path(path).suffix in STORAGES and (bag / METADATA).is_file()
         paths = units.setdefault(str(bag) if is_split else path, [])
@@ -319,7 +321,7 @@ def check(args: argparse.Namespace) -> int:
         )
     jobs = [read_jobs(paths, args, bool(args.output)) for paths in units.values()]
     short_names = names_of([unit_jobs[0] for unit_jobs in jobs])
-    unread_outcomes = [outcome for given in args.inputs for outcome in unread_units(given)]
+    unread_outcomes = [outcome for path in args.inputs for outcome in unread_units(path)]
     return run_check(
         [BatchItem(*unit) for unit in zip(units, jobs, short_names)], args, unread_outcomes
     )

@@ -210,14 +210,14 @@ def run_check(
     plan = load_plan(args.plan) if args.plan else None
     judge = Judge(args, plan, decides=True)
     unchecked: dict[str, None] = {}
-    number = len(units) + len(unread)
+    n_units = len(units) + len(unread)
     _make_output(args)
     for outcome in chain(outcomes_of(units, args), unread):
         judged_units.append(judged := judge.judged(outcome))
         unchecked |= dict.fromkeys(judged.check.unchecked if judged.check else ())
         if console.json:
             console.line(_check_document(judged))
-        elif outcome.results is None and number == 1 and outcome.code == EXIT_ERROR:
+        elif outcome.results is None and n_units == 1 and outcome.code == EXIT_ERROR:
             raise AllanError(outcome.error)
         elif shows_text:
             _print_unit(judged, args)
@@ -227,16 +227,16 @@ def run_check(
     names_by_word: dict[str, list[str]] = {}
     for judged in judged_units:
         names_by_word.setdefault(judged.word, []).append(Path(judged.name).name)
-    if number > 1 and console.json:
+    if n_units > 1 and console.json:
         totals = {word: len(named) for word, named in names_by_word.items()}
-        console.line({'units': number, 'totals': totals, 'exit_code': int(code)})
+        console.line({'units': n_units, 'totals': totals, 'exit_code': int(code)})
     elif shows_text:
-        if number > 1:
+        if n_units > 1:
             texts = [
                 _total(*word_and_names)
                 for word_and_names in sorted(names_by_word.items(), key=lambda e: -len(e[1]))
             ]
-            print(f'{number} units: {", ".join(texts)}')
+            print(f'{n_units} units: {", ".join(texts)}')
         if unchecked:
             print(unchecked_text([*unchecked]))
     _write_summary(

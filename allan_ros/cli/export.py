@@ -177,7 +177,7 @@ def sensor_lines(sheet: Datasheet, columns: int) -> Iterator[str]:
         yield from wrapped(f'contains {sheet.carries}; the figures are from this sensor', columns)
     if sheet.remark:
         yield from wrapped(sheet.remark, columns)
-    groups: dict[tuple[str, str, Limit], list[str]] = {}  # sensor, term, limit -> axes
+    groups: dict[tuple[str, str, Limit], list[str]] = {}  # (sensor, term, limit) -> axes
     for axis, terms in sheet.limits.items():
         for term, limit in terms.items():
             groups.setdefault((sensor_of(axis), term, limit), []).append(axis)

@@ -168,9 +168,9 @@ def drawn_curve(axis: AxisResult, factor: float = 1.0) -> DrawnCurve | None:
     curve = axis.curve
     if curve is None:
         return None
-    positive = curve.adev[curve.adev > 0.0]
+    positive_adev = curve.adev[curve.adev > 0.0]
     # parts of the model are drawn only where they exceed a fifth of the lowest point of the curve
-    floor = 0.2 * positive.min() if len(positive) else np.inf
+    floor = 0.2 * positive_adev.min() if len(positive_adev) else np.inf
 
     def above(values: Floats, least: float = 0.0) -> Floats:
         return np.where(values > least, factor * values, np.nan)

@@ -160,7 +160,8 @@ def _new_figure(rows: int, title: str) -> tuple[Figure, Any]:
     figure = _ShownFigure(figsize=size, layout='constrained')
     panels = figure.subplots(rows, sharex=True, squeeze=False)[:, 0]
     heading = figure.suptitle(title, fontsize='medium', fontweight='bold')
-    heading.set_parse_math(False)  # labels of users may contain dollar signs
+    # a frame_id or serial number may contain dollar signs, which would enclose a formula
+    heading.set_parse_math(False)
     panels[-1].set_xlabel(TAU_LABEL)
     return figure, panels
 
@@ -175,8 +176,9 @@ def _draw_axis(panel: Axes, name: str, axis: AxisResult, units: str) -> None:
     panel.set(xscale='log', yscale='log')
     style = {'marker': 'o', 'ls': '', 'ms': 2.6, 'mew': 0.6}
     panel.plot(curve.tau, curve.adev, color='k', mfc='none', label='measured', **style)
-    uncertain = curve.uncertain
-    panel.plot(curve.tau[uncertain], curve.adev[uncertain], color='0.7', label='uncertain', **style)
+    is_uncertain = curve.uncertain
+    tau_uncertain, adev_uncertain = curve.tau[is_uncertain], curve.adev[is_uncertain]
+    panel.plot(tau_uncertain, adev_uncertain, color='0.7', label='uncertain', **style)
     panel.fill_between(
         curve.tau, curve.low, curve.high, color='k', alpha=BAND_ALPHA, lw=0, label='68 % limits'
     )

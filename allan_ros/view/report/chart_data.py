@@ -81,13 +81,13 @@ def to_script(data: object) -> str:
 
 def _units(sensor: str, units: str) -> dict[str, Any]:
     """Return quantity -> [name of its unit in the charts, factor from SI to this unit]."""
-    shown = {
+    shown_units = {
         'curve': shown_unit(sensor, 'B', units),
         'signal': shown_unit(sensor, 'signal', units),
         'density': shown_unit(sensor, 'density', units),
         **{term: shown_unit(sensor, term, units) for term in TERMS},
     }
-    return {key: [pretty_unit(unit.name), unit.factor] for key, unit in shown.items()}
+    return {key: [pretty_unit(unit.name), unit.factor] for key, unit in shown_units.items()}
 
 
 def _axis(name: str, axis: AxisResult, tau: Sequence[float]) -> dict[str, Any]:
