@@ -97,7 +97,7 @@ class SumsOutput:
 
 
 class ImuWatch(NodePart):
-    """Accumulates the Allan sums of one IMU; after a restart, usable checkpoint sums are continued.
+    """Accumulates the Allan sums of one IMU; after a restart, continues the sums in its checkpoint.
 
     ``output`` publishes the sums periodically and for each new subscriber. It also publishes them
     when a service saves or resets them, when many of their samples are replaced, when the first

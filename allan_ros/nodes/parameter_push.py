@@ -23,9 +23,10 @@ Restoring
 The found values are set again when the noise model is invalidated, an axis of the input has a
 fault, ``push.enabled`` becomes false, this node ends, or this node starts after it was killed.
 
-The present value of a parameter is read before each change, if the other node answers. A parameter
-that an operator or another node has changed after this node set it is not changed any more while
-this node runs. A value of the noise model that the node refuses is not sent again.
+The present value of a parameter is read before each change, if the other node answers. If an
+operator or another node has changed a parameter after this node set it, this node does not set it
+any more until it is restarted. A value of the noise model that the other node refuses is not sent
+again.
 """
 
 from __future__ import annotations

@@ -108,7 +108,7 @@ class Meaning(NamedTuple):
     kind: str  # kind of the column, as in `_KINDS`; '' if unknown
     axis: str = ''  # 'x', 'y' or 'z' for a column of a sensor
     unit: str = ''  # unit according to the name; '' if the name states none
-    unknown: str = ''  # text at the place of the unit if it is no known unit; otherwise ''
+    unknown: str = ''  # text at the place of the unit if it is not a known unit; else ''
     is_si: bool = False  # whether the column is known to be in SI if its name states no unit
 
 

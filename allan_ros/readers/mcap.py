@@ -184,9 +184,10 @@ class McapStorage:
     def stated(self, ids: set[int], read: int) -> int:
         """Return how many messages of the topics ``ids`` the file states in its Statistics record.
 
-        Without such a record, the messages and index entries that were found when the file was
-        opened are counted. If there are none of any topic, the result is ``read``, the number of
-        messages that were read. If the file is truncated, the result is at least ``read``.
+        Without such a record, the number of messages or of index entries that were found when the
+        file was opened is used, whichever is larger. If none were found of any topic, the result is
+        ``read``, the number of messages that were read. If the file is truncated, the result is at
+        least ``read``.
         """
         if not self._contents.stated:
             return read
