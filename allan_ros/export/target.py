@@ -53,8 +53,8 @@ class ExportOptions(CheckedSettings):
     )
     motion: bool = parameter(
         False,
-        'Multiply N and K of each sensor by its factor in motion, which `allan analyze` measures '
-        'in a recording with drives between rests.',
+        'Multiply N and K of each sensor by their factors in motion, which `allan analyze` '
+        'measures in a recording with drives between rests.',
     )
     filter_rate: float = parameter(
         0.0,
@@ -74,8 +74,8 @@ class ExportOptions(CheckedSettings):
     horizon: float = parameter(
         0.0,
         'Longest time that the state estimator integrates without a correction. Up to this time, '
-        'the reduced-order model covers the complete model. 0: the default of the target (30 s for '
-        'cameras and lidars, 100 s for GNSS).',
+        'the reduced-order model covers the complete model. 0: the default of the target, such as '
+        '30 s for cameras and lidars, and 100 s for GNSS.',
         unit='s',
         low=0.0,
         high=1e6,

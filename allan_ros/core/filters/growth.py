@@ -65,9 +65,9 @@ def growth_table(
     fit : AxisFit
         Fit of one axis. Terms that are not resolved are included with their estimates.
     horizons : tuple of float
-        Times since the last correction in s.
+        Times since the last correction in s, above 0.
     window : float
-        Time in s before the correction, over which the bias was averaged.
+        Time in s, above 0, over which the bias was averaged before the correction.
 
     Returns
     -------

@@ -212,7 +212,7 @@ def axis_noise(model: Model, tau0: float, limits: Mapping[str, float] = {}) -> N
     Parameters
     ----------
     model : Model
-        Resolved noise, which must include white noise. If the model contains no drift, a drift of
+        Resolved noise, which must contain white noise. If the model contains no drift, a drift of
         unknown size within ``limits`` is assumed.
     tau0 : float
         Sample period in s.
