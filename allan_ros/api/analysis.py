@@ -219,7 +219,8 @@ def analyze(
         Sample rate in Hz; 0 if unknown. It is required for samples without times. If it is given
         for an array, a DataFrame or a mapping, it replaces their times. For a recording or an
         ImuBatch with stamps, it is compared with the rate of the stamps. It is also used if these
-        stamps are missing, or if they are bursty and their mean rate is similar.
+        stamps are missing, and to detect lost samples if the stamps are bursty or have regular
+        gaps.
     axes : str or sequence of str, optional
         The axes of the columns of an array: a name such as ``'gyro_z'``, ``'gyro'`` or ``'accel'``
         for three axes, or a list of names. By default, one column is ``gyro_x``, three columns are
