@@ -25,7 +25,7 @@ class Former:
 
     ``found`` is the former value. ``sent`` contains the sent values that the parameter may have
     now: one value, or two values if the node has not answered yet whether it accepts the second
-    one. It is empty if no value was sent.
+    one. ``sent`` is empty if no value was sent.
     """
 
     found: Numbers

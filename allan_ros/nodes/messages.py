@@ -170,7 +170,7 @@ def replaced_share(before: Sequence[AllanSums], after: Sequence[AllanSums]) -> f
 
 
 REPLACING = ('relearned', 'noise_increased', 'noise_decreased', 'gyro_unit_changed', 'clock_jumps')
-"""Findings that explain why samples were removed from the Allan sums of a stream."""
+"""Ids of findings that explain why samples were removed from the Allan sums of a stream."""
 
 
 def replaced_because(before: Sequence[AllanSums], snapshot: Snapshot) -> str:

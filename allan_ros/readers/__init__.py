@@ -76,8 +76,8 @@ SUFFIXES = tuple(suffix for file_format in FORMATS.values() for suffix in file_f
 def open_recording(path: str | os.PathLike[str], options: ReadOptions = ReadOptions()) -> Recording:
     """Open the recording at a path: a file, a folder that contains a bag, or its metadata.yaml.
 
-    Raises AllanError when the recording cannot be opened, or when the options select a topic and
-    the format has no topics, or a second topic and the recording is not a bag.
+    Raises AllanError when the recording cannot be opened, when the options select a topic but the
+    format has no topics, or when they select an accelerometer topic but the recording is not a bag.
     """
     recording_path = _recording_path(path)
     name = format_of(recording_path)
@@ -107,7 +107,7 @@ def topics_of(path: str | os.PathLike[str]) -> list[str]:
 
 
 def _recording_path(path: str | os.PathLike[str]) -> Path:
-    """Return a path, or the folder of a bag if the path is the metadata.yaml in this folder."""
+    """Return ``path`` or, if it is the metadata.yaml of a bag, the folder of this bag."""
     recording_path = Path(path)
     return recording_path.parent if recording_path.name == METADATA else recording_path
 

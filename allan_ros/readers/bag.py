@@ -59,7 +59,7 @@ class Survey:
     truncation: Truncation | None = None
 
     def listed(self, keys: Iterable[TopicKey]) -> str:
-        """Return the name, type and number of messages of these topics, as text.
+        """Return the name, type and number of messages of the topics ``keys``, as text.
 
         If there are more than `recording.MOST_LISTED` topics, the others are counted.
         """
@@ -95,7 +95,7 @@ class Bag:
         weakref.finalize(self, self._stack.close)
 
     def storage(self, file: Path) -> Storage:
-        """Return one of the files, opened for reading; a compressed file is decompressed for this.
+        """Open one of the files for reading; a compressed file is decompressed first.
 
         The file that was open before is closed. Raises AllanError when the file is missing, empty,
         not a bag, or so damaged that it cannot be opened, or when a Python package that it needs is

@@ -59,7 +59,7 @@ class Messages:
 
     @staticmethod
     def none() -> Messages:
-        """Return an object without messages."""
+        """Return an empty `Messages` object."""
         return Messages(np.empty(0, np.int64), np.empty(0, np.int64), [])
 
     def __len__(self) -> int:

@@ -106,7 +106,7 @@ class DecodedImus:
 
 @lru_cache(maxsize=256)
 def imu_dtype(encoding: Encoding, order: str, frame_bytes: int, itemsize: int = 0) -> np.dtype[Any]:
-    """Return the layout of a serialized Imu message as a numpy record.
+    """Return the layout of a serialized Imu message as a structured numpy dtype.
 
     Parameters
     ----------

@@ -403,7 +403,7 @@ def _simplified(name: str) -> str:
 
 
 class PathLock:
-    """A lock for writing the file at a path, which one process has at a time.
+    """A lock that permits one process at a time to write the file at a path.
 
     The file may be missing. A hidden file next to the file is locked, because each writing replaces
     the file itself. On Windows, and on file systems without locks, several processes can acquire
@@ -416,7 +416,7 @@ class PathLock:
         self._handle: int | None = None
 
     def acquire(self) -> str:
-        """Try to acquire the lock; return '' on success, otherwise a name of its owner.
+        """Try to acquire the lock; return '' on success, otherwise the name of its owner.
 
         Raises AllanError if the lock file cannot be created or opened, or is not a regular file.
         """

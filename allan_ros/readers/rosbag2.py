@@ -152,8 +152,8 @@ def open_bag(path: Path, options: ReadOptions) -> Recording:
     """Open the Imu topic of a bag as a recording; ``path`` is a bag folder or a bag file.
 
     Raises AllanError when the bag cannot be read, when it has no Imu topic or not the topics that
-    the options select, when it has several and the options select none, or when the topic has no
-    messages or another serialization than `ENCODINGS`.
+    the options select, when it has several Imu topics and the options select none, or when the
+    topic has no messages or another serialization than `ENCODINGS`.
     """
     bag = bag_of(path)
     survey = bag.survey()
@@ -248,10 +248,10 @@ class _Reader:
             earlier_messages += len(block)
 
     def temperature(self, frame_id: str) -> TemperatureTrace | None:
-        """Return the temperature over time; None if the topic of this IMU cannot be determined.
+        """Return the temperature of the IMU over time; None if no topic or several may contain it.
 
         If there are several Temperature topics, the only topic with the ``frame_id`` of the IMU is
-        used. The result is also None if this topic contains no valid temperature.
+        used. The result is also None if this topic contains no plausible temperature.
         """
         readings_by_topic = [
             (topic, [t for message in messages if (t := _temperature(topic, *message))])

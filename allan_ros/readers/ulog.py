@@ -48,7 +48,7 @@ MAX_LOG_BYTES = 4 * 2**30
 
 MAX_SEEKS = 50_000
 """Number of seeks after which reading stops. The parser seeks once for each damaged byte, and needs
-about a second for so many."""
+about a second for this number of seeks."""
 
 REMEDY = 'copy the log again'
 
