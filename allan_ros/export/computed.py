@@ -131,7 +131,7 @@ def madgwick_rows(noise: FilterNoise) -> Iterator[Row]:
     """
     horizon, axes = noise.horizon, noise.axes_of('gyro')
     factors = noise.factors['gyro']
-    gains = []
+    gains, white_levels = [], []
     for axis, result in axes.items():
         bias, white_level = noise.bias.get(axis, 0.0), noise.level(axis, 'N')
 
@@ -149,13 +149,13 @@ def madgwick_rows(noise: FilterNoise) -> Iterator[Row]:
             value, (low, high), value, white_level.estimate.status, name='gain', axis=axis
         )
         gains.append(FilterLevel(estimate))
-    largest_gain = max(gains, key=lambda level: level.value)
+        white_levels.append(white_level)
+    largest_gain, white_level = max(zip(gains, white_levels), key=lambda levels: levels[0].value)
     words = f'[rad/s] = sqrt(3/4) times the Allan deviation at h = {horizon:g} s'
     words += f'{" and the bias" if noise.bias else ""}: '
     words += ', '.join(f'{level.estimate.axis} {level.value:.3g}' for level in gains)
-    row = Row(
-        (*ANY_NODE, 'gain'), rounded(largest_gain.value), words, 'rad/s', largest_gain.interval
-    )
+    value, interval = rounded(largest_gain.value), largest_gain.interval
+    row = Row((*ANY_NODE, 'gain'), value, words, 'rad/s', interval, (white_level,))
     yield clamped(row, 0.0, 1.0)
     term, formula, scale = 'R', 'sqrt(3/4) |R|', MADGWICK_FACTOR
     if not all(result.fit.noise['R'].status == 'estimated' for result in axes.values()):

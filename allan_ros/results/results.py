@@ -268,9 +268,9 @@ class Results:
     def against_datasheet(self: R, datasheet: Datasheet, margin: float) -> R:
         """Return a copy of the results whose coefficients are compared with ``datasheet``.
 
-        Earlier findings about limits are removed. A finding is added for each coefficient that
-        exceeds its limit by more than the fraction ``margin``, and for each N that is implausibly
-        small.
+        Earlier findings about limits are removed. A finding is added for each of the
+        `datasheet_checks` with the verdict 'exceeds', and for each N that is implausibly small.
+        ``margin`` is the fraction by which a coefficient may exceed its limit.
         """
         other_findings = (
             f for f in self.findings if f.id not in ('exceeds_limit', 'below_typical')

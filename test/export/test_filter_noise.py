@@ -218,6 +218,17 @@ def test_a_gain_without_an_interval_has_none(results: Results) -> None:
     assert gain.ratio == math.inf and gain.value > 0.0
 
 
+def test_a_gain_from_an_upper_limit_of_n_is_reported(results: Results) -> None:
+    limit = Estimate(None, upper95=1e-2, status='not_observable')
+    known, unsure = results, with_coefficient(results, 'gyro_y', 'N', limit)
+    assert not target_rows(known, 'imu_filter_madgwick')[0].is_limit
+    gain, _ = target_rows(unsure, 'imu_filter_madgwick')
+    assert gain.is_limit and gain.interval == (0.0, pytest.approx(gain.value, rel=1e-5))
+    made = make_export(unsure, 'imu_filter_madgwick')
+    assert '# upper limits instead of measurements: gain' in made.text
+    assert 'export_limits' in [f.id for f in made.findings]
+
+
 def test_the_gain_covers_the_bias_at_rest(results: Results) -> None:
     options = ExportOptions(inflate=2.0)
     gain, zeta = target_rows(results, 'imu_filter_madgwick', options)
