@@ -392,7 +392,7 @@ def _term_difference(
     a, b = _known(first), _known(second)
     reference_value = _limit(first) if a is None else a[0]
     check = Check(axis, term, reference, second, upper=reference_value)
-    # the errors of R and of the squares of the other terms are normally distributed
+    # the errors of R and of the squares of the other terms are assumed to be normally distributed
     power = 1.0 if term == 'R' else 2.0
     if a is not None and b is not None:
         ratio, ci95, p = _ratio_of_estimates(a, b)
@@ -406,29 +406,30 @@ def _term_difference(
     return check
 
 
-def _known(c: Estimate) -> Known | None:
+def _known(coefficient: Estimate) -> Known | None:
     """Return the value of a coefficient and the ends of its 95 % interval.
 
     A value outside of the interval is replaced by the nearest end. Returns None if the coefficient
     is not resolved, or has no finite interval above 0.
     """
-    if c.status != 'estimated' or not c.value or c.ci95 is None:
+    value, interval = coefficient.value, coefficient.ci95
+    if coefficient.status != 'estimated' or not value or interval is None:
         return None
-    low, high = c.ci95
+    low, high = interval
     if not 0.0 < low <= high < math.inf:
         return None
-    return min(max(c.value, low), high), low, high
+    return min(max(value, low), high), low, high
 
 
-def _limit(c: Estimate) -> float | None:
+def _limit(coefficient: Estimate) -> float | None:
     """Return the 95 % upper limit of a coefficient that is not resolved; None if it is unknown.
 
-    The limit of a coefficient with the status 'likely' is not used.
+    A limit of 0 is not used, nor the limit of a coefficient with the status 'likely'.
     """
-    has_limit = (
-        c.status == 'not_observable' and c.upper95 is not None and 0.0 < c.upper95 < math.inf
-    )
-    return c.upper95 if has_limit else None
+    limit = coefficient.upper95
+    if coefficient.status != 'not_observable' or limit is None:
+        return None
+    return limit if 0.0 < limit < math.inf else None
 
 
 def _ratio_of_estimates(a: Known, b: Known) -> tuple[float, tuple[float, float], float]:

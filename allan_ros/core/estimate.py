@@ -247,9 +247,9 @@ class Estimate:
         )
 
     def __repr__(self) -> str:
-        plain = ShownUnit(self.unit, 1.0)
-        interval = interval_text(self, plain)
-        value = f'{value_text(self, plain)}{f" ({interval})" if interval else ""}'
+        own_unit = ShownUnit(self.unit, 1.0)
+        interval = interval_text(self, own_unit)
+        value = f'{value_text(self, own_unit)}{f" ({interval})" if interval else ""}'
         return f'{value} {self.unit}'.rstrip()
 
 
@@ -261,7 +261,9 @@ UNKNOWN = Estimate(None, status='not_observable')
 
 
 def value_text(estimate: Estimate, unit: ShownUnit) -> str:
-    """Return an estimate as text: its value, ``< limit`` if it is not resolved, or '-'.
+    """Return an estimate as text in ``unit``: its value, ``< limit`` if it is not resolved, or '-'.
+
+    The text is '-' if the estimate is not resolved and has no finite limit.
 
     >>> value_text(Estimate(None, upper95=0.5), ShownUnit('', 1.0))
     '< 0.500'
@@ -274,7 +276,7 @@ def value_text(estimate: Estimate, unit: ShownUnit) -> str:
 
 
 def interval_text(estimate: Estimate, unit: ShownUnit) -> str:
-    """Return the 95 % interval of an estimate as ``low..high``.
+    """Return the 95 % interval of an estimate as text in ``unit``: ``low..high``.
 
     The text is '' if the status is not 'estimated', or if the number has no interval or is known
     exactly.
@@ -293,7 +295,7 @@ def interval_text(estimate: Estimate, unit: ShownUnit) -> str:
 
 
 def known_numbers(estimate: Estimate, unit: ShownUnit) -> tuple[float | None, ...]:
-    """Return the value, the two ends of its interval, and the upper limit, in ``unit``.
+    """Return the value, the ends of the interval and the upper limit of an estimate, in ``unit``.
 
     A resolved number has no upper limit, and a number that is not resolved has only an upper limit.
     Missing numbers are None.

@@ -52,6 +52,11 @@ def quantity(
     upper95 : float or None
         95 % upper limit in SI, for a quantity without a value.
 
+    Raises
+    ------
+    KeyError
+        When the sensor or the name is unknown.
+
     >>> quantity(1e-4, 'gyro', 'N', (0.9e-4, 1.1e-4))
     0.0001000 (9.00e-05..0.000110) rad/s/sqrt(Hz)
     """

@@ -298,6 +298,11 @@ def shown_unit(axis: str, quantity: str, units: str) -> ShownUnit:
         A term such as 'N', 'signal' or 'density'. The Allan deviation has the unit of 'B'.
     units : str
         'deg/h' or 'SI'.
+
+    Raises
+    ------
+    KeyError
+        When the sensor, the quantity or the system of units is unknown.
     """
     unit = SHOWN_UNITS[units][sensor_of(axis)][quantity]
     return ShownUnit(unit, 1.0 / UNITS[unit].factor)
@@ -333,7 +338,7 @@ def even_stamps(first: int, count: int, rate: float) -> NDArray[np.int64]:
     count : int
         Number of samples.
     rate : float
-        Sample rate in Hz.
+        Sample rate in Hz, above 0.
 
     Raises
     ------
@@ -368,7 +373,8 @@ def axes_of_sensors(axes: Sequence[str]) -> dict[str, list[int]]:
 def from_datasheet(term: str, sensor: str, value: float) -> float:
     """Convert a coefficient from the unit of datasheets (`DATASHEET_UNITS`) to SI.
 
-    ``term`` is Q, N, B, K or R; ``sensor`` is 'gyro' or 'accel'.
+    ``term`` is Q, N, B, K or R; ``sensor`` is 'gyro' or 'accel'. Raises KeyError for another term
+    or sensor.
     """
     return value * UNITS[DATASHEET_UNITS[sensor][term]].factor
 
@@ -398,7 +404,10 @@ def to_si(value: float, unit: str, si: str) -> float:
 
 
 def sample_factors(gyro_unit: str, accel_unit: str) -> NDArray[np.float64]:
-    """Return the factors that convert samples in the given units to SI, (6,), one for each axis."""
+    """Return the factors that convert samples in the given units to SI, (6,), one for each axis.
+
+    Raises KeyError if a unit is not in `UNITS`.
+    """
     return np.repeat([UNITS[gyro_unit].factor, UNITS[accel_unit].factor], 3)
 
 

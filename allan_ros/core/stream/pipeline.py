@@ -64,8 +64,9 @@ class Accumulation:
 
     ``sums`` has one entry for all axes, or several entries, for example one per sensor if their
     rates differ. An axis without data is in no entry. If the sample rate or the frame_id changed,
-    or a fault ended, each axis has the sums with the longest elapsed time. ``segments`` are the
-    longest segments of the first entry of ``sums``.
+    or a fault ended, the entries are the sums with the longest elapsed time of each axis, and an
+    axis may be in two of them. ``segments`` are the longest segments of the first entry of
+    ``sums``.
     """
 
     sums: tuple[AllanSums, ...]
@@ -414,9 +415,9 @@ class FrameStream:
                 self._feed(*self._sorter.feed(self.stamps.of(buffered.part(slice(begin)))))
                 self._start_again(group)
                 return buffered.part(slice(begin + CHECKED, None))
-        processed = len(buffered) // CHECKED * CHECKED
-        self._feed(*self._sorter.feed(self.stamps.of(buffered.part(slice(processed)))))
-        self._buffer = [buffered.part(slice(processed, None)).copy()]
+        number_checked = len(buffered) // CHECKED * CHECKED
+        self._feed(*self._sorter.feed(self.stamps.of(buffered.part(slice(number_checked)))))
+        self._buffer = [buffered.part(slice(number_checked, None)).copy()]
         return batch[:0]
 
     def _has_ended(self, note: Finding, samples: ImuBatch) -> bool:

@@ -67,15 +67,18 @@ class SignalEnvelope:
             batch = batch[number_free:]
 
     def with_accel(self, other: SignalEnvelope) -> SignalEnvelope:
-        """Return a copy to which the accelerometer of another topic is added, in the same bins."""
+        """Return a copy to which the accelerometer of another topic is added, in the same bins.
+
+        The other topic must have samples.
+        """
         joined = deepcopy(self)
-        accel = slice(len(AXES) // 2, None)
+        accel_columns = slice(len(AXES) // 2, None)
         # the bins of the other topic that cover the time of a bin are joined
         starts = np.searchsorted(other.start_ns[1:], self.start_ns, side='right')
         starts[:1] = 0
         for name, join in BIN_STATISTICS.items():
-            values = other._bins[name][: other.bins, accel]
-            joined._bins[name][: self.bins, accel] = join.reduceat(values, starts)
+            values = other._bins[name][: other.bins, accel_columns]
+            joined._bins[name][: self.bins, accel_columns] = join.reduceat(values, starts)
         return joined
 
     @property
@@ -253,7 +256,8 @@ class SignalSummary:
     # (bins,) whether no sample of the bin is excluded or replaced; True in a recording without used
     # samples
     used: Flags
-    middle: Floats  # (6,) median over the bins of (low + high) / 2, in SI
+    # (6,) median over the bins of (low + high) / 2, in SI; NaN for an axis without data
+    middle: Floats
     excluded: tuple[Excluded, ...]
     gaps: tuple[tuple[float, float], ...]  # (start, end) in s of times without samples
     starts: tuple[float, ...]  # start of each recording in s

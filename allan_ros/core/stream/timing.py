@@ -31,7 +31,7 @@ Ints = NDArray[np.int64]
 
 LEARN_S, LEAST_LEARN, LEARN = 11.0, 256, 1024
 """Time in s, and smallest and largest number of samples, from which the sample period is learned.
-At 93 Hz and above, the largest number is used."""
+At 93 Hz and above, the largest number is used. At the end of the input, fewer samples suffice."""
 
 CLOCK_BLOCK = 256
 """Number of samples in a block. Unless stamps are bursty, the blocks are searched for a change of
@@ -406,22 +406,22 @@ class SampleClock:
         steps = np.ones(n, np.int64)
         is_even = step.min() >= 0 and step.max() <= clock.pause_ns
         if not is_even:
-            lost, split = self._find_gaps(step, clock)
-            steps = np.where(split, 0, 1 + lost)
-        unchanged = n if clock.bursty else self._count_same_rate(step, steps, clock)
-        self.rate_changed = unchanged < n
-        steps = steps[:unchanged]
+            lost, is_split = self._find_gaps(step, clock)
+            steps = np.where(is_split, 0, 1 + lost)
+        number = n if clock.bursty else self._count_same_rate(step, steps, clock)
+        self.rate_changed = number < n
+        steps = steps[:number]
         if not is_even:
-            lost, split = lost[:unchanged], split[:unchanged]
+            lost, is_split = lost[:number], is_split[:number]
             self._counts.lost += int(lost.sum())
-            self._counts.interpolated += int(lost[~split].sum())
+            self._counts.interpolated += int(lost[~is_split].sum())
             self._counts.splits += Counter(
-                gap=int(np.count_nonzero(split & (step[:unchanged] >= 0)))
+                gap=int(np.count_nonzero(is_split & (step[:number] >= 0)))
             )
-        if unchanged:
-            self._track(stamps[begin : begin + unchanged], steps, clock)
+        if number:
+            self._track(stamps[begin : begin + number], steps, clock)
             self._steps = np.concatenate([self._steps, steps])[-self._reach :]
-            self._processed += unchanged
+            self._processed += number
         return steps
 
     def _find_gaps(self, step: Stamps, clock: Clock) -> tuple[Ints, Flags]:
@@ -431,16 +431,16 @@ class SampleClock:
         are split where the stamps decrease, at gaps of more than ``max_bridge`` samples, and where
         more than `BRIDGED_SHARE` of a block would be interpolated. Other gaps are interpolated.
         """
-        lost, split = np.zeros(len(step), np.int64), step < 0
+        lost, is_split = np.zeros(len(step), np.int64), step < 0
         interpolated: Counter[int] = Counter()  # number of interpolated samples of each clock block
         for j in np.flatnonzero(step > clock.pause_ns).tolist():
-            lost[j] = number_lost = self._count_lost(np.where(split, 0, 1 + lost)[:j], clock)
+            lost[j] = number_lost = self._count_lost(np.where(is_split, 0, 1 + lost)[:j], clock)
             number = interpolated[j // CLOCK_BLOCK] + number_lost
             is_long = number_lost > self._settings.max_bridge
-            split[j] = is_long or number > BRIDGED_SHARE * CLOCK_BLOCK
-            if not split[j]:
+            is_split[j] = is_long or number > BRIDGED_SHARE * CLOCK_BLOCK
+            if not is_split[j]:
                 interpolated[j // CLOCK_BLOCK] = number
-        return lost, split
+        return lost, is_split
 
     def _count_same_rate(self, step: Stamps, steps: Ints, clock: Clock) -> int:
         """Return how many samples precede a change of the rate; all n if the rate does not change.
