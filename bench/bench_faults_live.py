@@ -6,9 +6,9 @@
     python bench/bench_faults_live.py --cells 40 --seed 7 --together 5
 
 The cells of the table of bench_faults.py are drawn at random. The line of a cell states the time
-in s until a status named the fault, the time in s from the end of the fault to the last status
-with a warning or an error, and the largest error of the published N of an axis in percent. The
-limits are the limits of bench_faults.py, and 3 % for N.
+in s until a status named the fault, the time in s from the end of the fault to the last time with a
+warning, an error or another state than at rest, and the largest error of the published N of an axis
+in percent. The limits are the limits of bench_faults.py, and 3 % for N.
 """
 
 from __future__ import annotations

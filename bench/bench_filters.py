@@ -9,10 +9,11 @@
     python bench/bench_filters.py gtsam                 a factor graph in rest and motion, 2 min
     python bench/bench_filters.py figure                docs/images/filter_growth.png
 
-Each sensor is simulated for two hours and analyzed. A filter with two states, attitude and bias,
-gets the exported parameters and runs on other records of the sensor. Once a second, it receives an
-attitude measurement with an error of 0.1 deg. The simulators and the filter are in `reality.py`,
-which shares no code with this package, in $ALLAN_ROS_SHARED/oracle or ../shared/oracle.
+Each sensor is simulated for two hours, or for 5 min, and analyzed. A filter with two states,
+attitude and bias, gets the exported parameters and runs on other records of the sensor. Once a
+second, it receives an attitude measurement with an error of 0.1 deg. The simulators and the filter
+are in `reality.py`, which shares no code with this package, in $ALLAN_ROS_SHARED/oracle or
+../shared/oracle.
 """
 
 from __future__ import annotations
@@ -104,7 +105,10 @@ def exported(results: ar.Results, axis: str) -> dict[str, dict[str, Any]]:
         white, walk = read['gyroscopeCovariance'][i], read['biasOmegaCovariance'][i]
         models[name] = {'N': white**0.5, 'K': walk**0.5}
     one = json.loads(make_export(results, 'state_space').text)['axes'][axis]
-    processes = [tuple(pair) for pair in one['gauss_markov']]
+    processes = [
+        (process[GaussMarkov.coefficient], process['correlation_time'])
+        for process in one['processes']
+    ]
     models['state space'] = {'N': one['white'], 'K': one['walk'], 'gms': processes}
     return models
 
@@ -224,7 +228,7 @@ def bias(records: int) -> None:
 def _bias_hits(axis: ar.AxisResult, samples: Any, white: Any, every: int) -> list[bool]:
     """Return whether the 95 % interval of the bias contains the mean bias of the next 10 s.
 
-    The result has an item for every ``every``-th second.
+    From 10 min on, the result has an item for every ``every``-th second.
     """
     seconds = len(samples) // round(BIAS_RATE)
     means, drift = (

@@ -178,7 +178,7 @@ def reading(folder: Path, name: str, rounds: int) -> Reading:
 
 
 class Table(NamedTuple):
-    """CPU time in s of `table`, its excess in s over the CPU time of `floor`, and their ratio."""
+    """CPU time of `table` in s, its excess over and ratio to the time of `floor`, and memory."""
 
     cpu: float
     over: float

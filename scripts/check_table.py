@@ -93,7 +93,7 @@ def run_cases(data: Path, folder: Path) -> Iterator[tuple[Case, int, str]]:
 
 
 def main() -> int:
-    """Print the table; return 1 if an exit code differs from the expected one."""
+    """Print the table; return 1 if an exit code differs from the expected one, 2 without DATA."""
     if len(sys.argv) != 2:
         print(__doc__, file=sys.stderr)
         return 2

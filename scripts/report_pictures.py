@@ -4,8 +4,8 @@
 
 usage: report_pictures.py FOLDER
 
-The IMU is simulated as with `allan simulate --preset paper`. The simulated recording contains
-vibration from a fan, a motion, and a gap of half a minute.
+The IMU is simulated as with `allan simulate --preset paper`. The simulated recording contains a
+vibration of 0.4 Hz, a motion, and a gap of half a minute.
 """
 
 from __future__ import annotations
