@@ -48,7 +48,7 @@ class AllanCommand(Base):  # type: ignore[misc]
         parser.add_argument('arguments', nargs=argparse.REMAINDER, metavar='...')
 
     def main(self, *, parser: argparse.ArgumentParser, args: argparse.Namespace) -> int:
-        """Run the verb: return the exit code for running nodes, exit with the code for files."""
+        """Run the verb; return its exit code, or exit with this code if `allan` runs the verb."""
         verb, words = args.verb, list(args.arguments)
         if verb in NODE_VERBS and not _is_for_files(verb, words):
             from .nodes.__main__ import ros_is_missing

@@ -286,8 +286,8 @@ class Results(PlainResults):
         Raises
         ------
         AllanError
-            When the datasheet or the earlier run cannot be read, or the margin is not a number of 0
-            or more.
+            When the datasheet or the earlier run cannot be read, an argument has a wrong type, or
+            the margin is NaN or below 0.
 
         Examples
         --------
@@ -366,8 +366,8 @@ def compared(
     Raises
     ------
     AllanError
-        When the datasheet or the earlier run cannot be read, or the margin is not a number of 0 or
-        more.
+        When the datasheet or the earlier run cannot be read, an argument has a wrong type, or the
+        margin is NaN or below 0.
     """
     expect((PlainResults, *PATH), 'results or a path', baseline=baseline)
     expect((PlainDatasheet, *PATH), 'a datasheet or its name', sensor=sensor)

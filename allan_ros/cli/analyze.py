@@ -140,7 +140,7 @@ def recordings_in(path: str, files_are_units: bool = False) -> list[str]:
 
 
 def _contains_a_bag(path: Path) -> bool:
-    """Return whether a path is a folder with a metadata.yaml, or directly with files of a bag."""
+    """Return whether a path is a folder that contains a metadata.yaml or files of a bag."""
     try:
         return any(child.name.endswith((METADATA, *BAG_SUFFIXES)) for child in path.iterdir())
     except OSError:  # the path is a file or an unreadable folder

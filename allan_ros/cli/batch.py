@@ -158,7 +158,7 @@ def run_batch(jobs: Sequence[ReadJob], args: argparse.Namespace) -> int:
 
 
 def unread_units(folder: str) -> list[Outcome]:
-    """Return the units that could not be read, according to the summary in a folder.
+    """Return the units without results, according to the summary in a folder.
 
     The list is empty if the folder has no summary. Raises AllanError if the summary cannot be read.
     """
@@ -196,7 +196,7 @@ def run_check(
     args : Namespace
         Arguments of the command line.
     unread : sequence of Outcome
-        Units that could not be read when the folder with the results of all units was written.
+        Units without results, according to the summary in a folder with earlier results.
 
     Raises
     ------

@@ -29,7 +29,7 @@ GARBAGE_THRESHOLD = 200_000
 analysis creates about 100,000. With the default of Python, garbage would be collected 150 times."""
 
 HELP_COLUMN = 26
-"""Column at which the help texts of options begin."""
+"""Largest column at which the help texts of options begin."""
 
 
 class Verb(NamedTuple):
@@ -193,8 +193,9 @@ def _exits_text(exits: dict[int, str]) -> str:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one verb and return the exit code; errors during the run become one line on stderr.
 
-    ``argv`` are the words after the name of the program, by default from ``sys.argv``. Raises
-    SystemExit for an unknown or invalid argument, and after ``--help`` or ``--version``.
+    If the program that reads the output closes the pipe, nothing more is printed. ``argv`` are the
+    words after the name of the program, by default from ``sys.argv``. Raises SystemExit for an
+    unknown or invalid argument, and after ``--help`` or ``--version``.
     """
     words = list(sys.argv[1:] if argv is None else argv)
     name = f'allan {words[0]}' if words and words[0] in VERBS else 'allan'

@@ -114,7 +114,7 @@ def _record(row: UnitRow, units: str) -> Record:
 def _columns(name: str, measured: Estimate, limits: Limits) -> Iterator[tuple[str, float | None]]:
     """Yield the name of each column of a quantity, and its number in the unit of the limits.
 
-    The number is None if it is unknown or not finite.
+    The number is None if it is unknown or not finite. An exact value has no interval.
     """
     unit = f' [{limits.unit}]' if limits.unit else ''
     value = measured.value if measured.resolved else None

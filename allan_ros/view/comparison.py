@@ -364,9 +364,10 @@ def _share_cell(value: float, low: float, high: float) -> Cell:
 def common_table(common: CommonResult, units: str = 'deg/h') -> Table:
     """Return a table of N as measured, N without common noise, and the coherence of the IMUs.
 
-    There is a row for each axis and IMU. For a single IMU, there is a row for each pair of axes,
-    and no N. If the IMUs measure the common noise with different factors, a column contains these
-    factors. Averaging times of `SHOWN_TAU_S` near which no coherence is known are omitted.
+    There is a row for each common axis of each IMU. For a single IMU, there is a row for each pair
+    of axes of a sensor, and no N. If the IMUs measure the common noise with different factors, a
+    column contains these factors. The coherence has a column for each averaging time in
+    `SHOWN_TAU_S`, except the shortest, near which a coherence is known.
     """
     coherence_taus = SHOWN_TAU_S[1:]
     cells = {tau: [_coherence_cell(row, tau) for row in common.rows] for tau in coherence_taus}
