@@ -189,7 +189,7 @@ class BiasTracker:
     def add_means(self, axis: str, end_ns: Sequence[int], values: Sequence[float]) -> None:
         """Add means of an axis over 1 s, and the times in ns at which they end.
 
-        The new means are in the order of time. New means that are not later than the latest stored
+        The new means must be in the order of time. Means that are not later than the latest stored
         mean are ignored. But if the last new mean is earlier than the latest stored mean, the time
         has jumped back. In this case, the stored means are removed, and all new means are used.
         """
