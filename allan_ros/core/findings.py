@@ -144,7 +144,7 @@ _FAULTS, _NUMBERS, LIVE, UNUSABLE = (
     for name in ('faults', 'numbers', 'live', 'unusable')
 )
 """Ids of the findings in the lists ``faults``, ``numbers``, ``live`` and ``unusable`` of
-``findings.txt``, where comments describe these lists."""
+``findings.txt``. Comments in this file describe the lists."""
 
 MINOR: dict[str, Callable[[Mapping[str, Any]], bool]] = {
     'level_changes': lambda values: values['high'].value < 1.1 * values['low'].value,

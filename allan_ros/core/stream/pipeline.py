@@ -180,7 +180,7 @@ class ImuStream:
     def present_health(
         self, sums: tuple[AllanSums, ...]
     ) -> tuple[StreamHealth, tuple[Finding, ...]]:
-        """Return the present health and findings; once the noise floor is known, without new sums.
+        """Return the present health and findings; faster than `result` after the first samples.
 
         ``sums`` are the sums of an earlier `result`. Unless the state is 'waiting' or 'learning',
         samples that are not classified yet are counted neither as used nor as excluded.

@@ -193,6 +193,8 @@ between successive samples must cross the gap."""
 def are_interleaved(rows: Floats) -> bool:
     """Return whether samples, (axes, n), seem to come from two IMUs with different biases.
 
+    The result is False for fewer than 20 samples.
+
     >>> import numpy as np
     >>> noise = np.random.default_rng(0).normal(size=(6, 1000))
     >>> are_interleaved(noise), are_interleaved(noise + np.arange(1000) % 2)

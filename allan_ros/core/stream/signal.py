@@ -104,7 +104,7 @@ class SignalEnvelope:
         It is the header stamp, or the record time if the header stamps of all bins are equal.
         """
         header, record = self._start_ns[: self.bins].T
-        stamps: Stamps = header if np.ptp(header) > 0 else record
+        stamps: Stamps = header if (header != header[:1]).any() else record
         return stamps
 
     @property
@@ -184,7 +184,7 @@ def trace_of(source: str, readings: Iterable[tuple[int, int, float]]) -> Tempera
 
 
 class Decimated(Generic[Item]):
-    """Every n-th item of a stream; n doubles when there are more than ``most`` items.
+    """Every n-th item of a stream; n doubles when more than ``most`` items would be kept.
 
     Examples
     --------

@@ -62,9 +62,9 @@ POLLED_SHARE = 0.95
 stamps is between 0.4 and 2.2 times the mean step."""
 
 FEWEST_STEPS = 8
-"""A period is learned from the first stamps if at least this number of their steps are above 0, or
-all of fewer steps. In long bursts of equal stamps, fewer steps are above 0, and the period would
-depend on where the last burst begins."""
+"""A period is learned from the first stamps if at least this number of their steps are above 0. If
+there are fewer steps, all of them must be above 0. In long bursts of equal stamps, too few steps
+are above 0, and the period would depend on where the last burst begins."""
 
 EVEN_SHARE, EVEN = 0.9, 0.15
 """Stamps have evenly spaced runs if at least the first share of the steps differs from the median
@@ -83,7 +83,7 @@ less than this fraction of the declared period."""
 MANY, EXACT = 0.2, 0.15
 """Samples are missing regularly if at least the first share of the steps is one sample period, and
 at least the same share is a larger multiple of the period. At least `POLLED_SHARE` of the steps
-must deviate from a multiple by at most the second fraction of a period."""
+must differ from a multiple by at most the second fraction of a period."""
 
 JITTER_SHARE = 0.01
 """Stamps have jitter if more than this share of the steps is shorter than half the period."""
@@ -139,7 +139,7 @@ class Clock:
 def learned_from(stamps: Stamps) -> int:
     """Return how many stamps at the start are used to learn the period; 0 for too few stamps.
 
-    ``stamps``, (n,), are the stamps received so far in ns.
+    ``stamps``, (n,), are all stamps of the stream so far in ns.
 
     >>> import numpy as np
     >>> [learned_from(np.arange(2000) * 10**9 // rate) for rate in (20, 50, 100, 1000)]
@@ -294,8 +294,8 @@ class SampleClock:
 
     ``clock`` is None until the period is learned from the first samples. Later, the period is
     updated from the stamps, which decrease only where the clock was set back. ``polled`` tells
-    whether a slower sensor is polled, as in `learn_clock`. ``counts`` is changed in place. When the
-    rate changes, ``rate_changed`` is set, and `pending` contains the samples from the change on.
+    whether a slower sensor is polled, as in `learn_clock`. ``counts`` is changed in place. When a
+    change of the rate is found, ``rate_changed`` is set, and `pending` contains the later samples.
     """
 
     def __init__(
@@ -341,7 +341,7 @@ class SampleClock:
         return self._process_ready(self._reach)
 
     def flush(self) -> list[ImuBatch]:
-        """Return the pending samples as blocks at the end of the input, or up to a new rate."""
+        """At the end of the input, return the pending samples as blocks, up to a new rate."""
         while self.clock is None and (number_buffered := len(self._samples)):
             self._learn(learned_from(self._samples.stamps_ns) or number_buffered)
         return self._process_ready(0)

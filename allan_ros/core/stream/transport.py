@@ -65,8 +65,8 @@ EXCUSED = 10
 this number of times with new usable samples."""
 
 STARTUP_S = 5.0
-"""Time in s after the start during which missing messages are not reported, because the discovery
-of publishers takes time."""
+"""Before the first message, missing messages are not reported until this time in s after the start,
+because the discovery of publishers takes time."""
 
 STUCK_S, STUCK_RUNS = 1.0, 20
 """An axis is stuck if its value has not changed for more than `STUCK_S` seconds, and for more than
@@ -138,7 +138,7 @@ class Arrivals:
         """Process messages of which only the first can follow a step of the stamps.
 
         The stamps and the times of reception are in s. ``lost`` is the number of messages that were
-        lost since the last call of `update`.
+        lost since the previous call of `update`.
         """
         first_stamp, last_received = float(stamps[0]), float(received_s[-1])
         latest_stamp = first_stamp if self._latest is None else self._latest[0]
@@ -158,7 +158,7 @@ class Arrivals:
         """Count an interruption and a forward step of the clock, if a gap in the stamps shows them.
 
         ``stamp`` and ``received_s`` are the stamp and the time of reception in s of the message
-        after the gap. ``lost`` is the number of messages that were lost since the last call of
+        after the gap. ``lost`` is the number of messages that were lost since the previous call of
         `update`.
         """
         assert self._latest is not None
