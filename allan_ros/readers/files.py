@@ -308,13 +308,13 @@ def expanded(path: str | Path) -> Path:
     return Path(os.path.expanduser(path))
 
 
-def read_yaml(path: Path) -> Any:
-    """Read a YAML or JSON file of at most 100 kB.
+def read_yaml(path: Path, limit: int = 100_000) -> Any:
+    """Read a YAML or JSON file of at most ``limit`` bytes.
 
     Raises AllanError if the file cannot be read, is larger, or is invalid.
     """
     try:
-        return parse_yaml(read_text(path, 100_000))
+        return parse_yaml(read_text(path, limit))
     except yaml.YAMLError as error:
         where = ' '.join(str(error).split())
         raise AllanError(f'{path}: is not YAML ({where[:120]}): correct the file') from error

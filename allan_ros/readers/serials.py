@@ -13,7 +13,7 @@ from typing import Any
 
 from ..core.errors import AllanError, one_line
 from ..core.imu import MAX_NAME
-from .files import open_regular, read_yaml
+from .files import MAX_BYTES, open_regular, read_yaml
 from .recording import METADATA, translated
 
 LONGEST_LINE = 100_000
@@ -99,7 +99,7 @@ def _custom_data(path: Path) -> Mapping[str, Any]:
     file = folder / METADATA
     if not os.path.isfile(file):  # unlike `Path.is_file`, it raises no error without permission
         raise AllanError(f'{path}: no {METADATA}: a serial from metadata needs a rosbag2 folder')
-    document = read_yaml(file)
+    document = read_yaml(file, MAX_BYTES)
     information = document.get('rosbag2_bagfile_information') if isinstance(document, dict) else {}
     data = information.get('custom_data') if isinstance(information, dict) else {}
     return data if isinstance(data, dict) else {}

@@ -154,6 +154,10 @@ def test_serials_from_tables_and_bags(tmp_path: Path) -> None:
     (bag / 'metadata.yaml').write_text(yaml.safe_dump(information))
     rule = SerialRule('metadata:imu serial')
     assert rule.serial_of(str(bag)) == rule.serial_of(str(bag / 'bag_0.mcap')) == '42'
+    # the metadata of a bag with thousands of files may be larger than other YAML files
+    information['rosbag2_bagfile_information']['relative_file_paths'] = 'x' * 200_000
+    (bag / 'metadata.yaml').write_text(yaml.safe_dump(information))
+    assert rule.serial_of(str(bag)) == '42'
     for text, path in (
         ('column:none', table),
         ('metadata:none', bag),
