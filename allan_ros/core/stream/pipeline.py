@@ -64,9 +64,9 @@ class Accumulation:
 
     ``sums`` has one entry for all axes, or several entries, for example one per sensor if their
     rates differ. An axis without data is in no entry. If the sample rate or the frame_id changed,
-    or a fault ended, the entries are the sums with the longest elapsed time of each axis, and an
-    axis may be in two of them. ``segments`` are the longest segments of the first entry of
-    ``sums``.
+    or a fault ended, the entries are the sums with the longest elapsed time of each axis. If an
+    axis is in two entries, its longer sums are in the later entry. ``segments`` are the longest
+    segments of the first entry of ``sums``.
     """
 
     sums: tuple[AllanSums, ...]
@@ -219,7 +219,10 @@ class ImuStream:
         return frame
 
     def _longest(self) -> tuple[StreamSums, ...]:
-        """Return the sums with the longest elapsed time for each axis with data."""
+        """Return the sums with the longest elapsed time for each axis with data.
+
+        If an axis is in two of the sums, its longer sums come after the shorter sums.
+        """
         frames = self._frames.values()
         sensors = [sensor for frame in frames for sensor in (*frame.earlier, *frame.sensors)]
         results = [stream_sums for sensor in sensors for stream_sums in sensor.by_rate()]
@@ -227,9 +230,9 @@ class ImuStream:
         for stream_sums in sorted(results, key=lambda result: -result.sums.elapsed_ns):
             for axis in stream_sums.sums.axes:
                 longest.setdefault(axis, stream_sums)
-        return tuple(
-            {id(longest[axis]): longest[axis] for axis in AXES if axis in longest}.values()
-        )
+        entries = {id(longest[axis]): longest[axis] for axis in AXES if axis in longest}.values()
+        # longer sums with some axes of shorter sums lack other axes of the shorter sums
+        return tuple(sorted(entries, key=lambda entry: -len(entry.sums.axes)))
 
     def _health(
         self, present: Present, longest: tuple[AllanSums, ...]
