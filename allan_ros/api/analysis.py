@@ -295,7 +295,9 @@ def analyze(
     if axes is not None:
         expect((str, Sequence), 'a text or a list', axes=axes)
     sources = list(source) if isinstance(source, (list, tuple)) else [source]
-    if sources and all(isinstance(each, (PlainResults, *PATH)) for each in sources):
+    if not sources:
+        raise AllanError('the list of sources is empty: give a recording, results or samples')
+    if all(isinstance(each, (PlainResults, *PATH)) for each in sources):
         if axes is not None:
             raise AllanError(
                 'axes are for arrays, not files: name the columns of a table with columns='

@@ -35,6 +35,7 @@ CALLS = [
     (lambda r: ar.fit(PAIR, record='x'), "record is 'x': a number is expected"),
     (lambda r: ar.fit((TAUS, TAUS), record=-1), 'a recording of -1 s has no average over 1000 s'),
     (lambda r: ar.fit((TAUS, -TAUS)), 'the curve has 0 usable points: give at least 6'),
+    (lambda r: ar.analyze([]), 'the list of sources is empty'),
     (lambda r: ar.analyze(np.ones(1), rate=1), 'no static data in 1 sample: it is too short'),
     (lambda r: ar.simulate('a'), "hours is 'a': a number is expected"),
     (lambda r: ar.simulate(0.01, None), 'rate is None: a number is expected'),
