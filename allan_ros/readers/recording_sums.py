@@ -107,7 +107,7 @@ class RecordingSums:
         """Return the Allan sums of both recordings together.
 
         Raises AllanError when the sums cannot be added, for example because the recordings are of
-        different IMUs, or when the recordings have a segment in common.
+        different IMUs, or when the recordings have samples in common.
         """
         try:
             sums = add_sums(self.sums, other.sums)
@@ -117,6 +117,11 @@ class RecordingSums:
             raise AllanError(
                 f'{other.name} contains samples of an earlier recording: give each '
                 'recording once, because samples must not count twice'
+            )
+        if shared_s := _shared_time_s(self.provenance.segments, other.provenance.segments):
+            raise AllanError(
+                f'{other.name} and {self.name} have {shared_s:.0f} s in common: samples must not '
+                'count twice, so give only one of these recordings; analyze two IMUs separately'
             )
         return RecordingSums(
             self.name,
@@ -321,6 +326,32 @@ def _share_a_segment(a: AllanSums, b: AllanSums) -> bool:
         for recording_a, recording_b in product(a.recordings, b.recordings)
         for means_a, means_b in product(recording_a.means, recording_b.means)
     )
+
+
+def _shared_time_s(a: Sequence[Segment], b: Sequence[Segment]) -> float:
+    """Return the time in s that segments of two recordings have in common, if it is substantial.
+
+    The result is 0 if the time is at most `MAX_SHARED_TIME` of the recording with less data, or if
+    the stamps do not count from 1970. Recordings whose stamps count from a start of the computer
+    can overlap although they were made on different days.
+    """
+    ranges_a, ranges_b = (
+        [(s.start_ns * 1e-9, s.start_ns * 1e-9 + s.duration_s) for s in segments]
+        for segments in (a, b)
+    )
+    if min((start for start, _ in (*ranges_a, *ranges_b)), default=0.0) < EPOCH_S[0]:
+        return 0.0
+    shared_s = sum(
+        max(0.0, min(end_a, end_b) - max(start_a, start_b))
+        for (start_a, end_a), (start_b, end_b) in product(ranges_a, ranges_b)
+    )
+    least_s = min(sum(end - start for start, end in ranges) for ranges in (ranges_a, ranges_b))
+    return shared_s if shared_s > MAX_SHARED_TIME * least_s else 0.0
+
+
+MAX_SHARED_TIME = 0.01
+"""Two recordings can be added if the time that they have in common is at most this share of the
+duration of the shorter recording."""
 
 
 class Observer(Protocol):

@@ -108,8 +108,11 @@ def test_a_fault_of_one_recording_does_not_end_the_others(
 def test_a_process_that_dies_is_an_error_of_the_units_without_outcome(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: Any
 ) -> None:
-    for i in range(8):
+    for i in range(7):
         shutil.copy(folder / 'a.npz', tmp_path / f'{i}.npz')
+    # takes seconds, so that no process is done with it before the processes are killed
+    samples = np.random.default_rng(7).normal(size=(2_000_000, 6)) * 1e-3
+    np.savez(tmp_path / '7.npz', t=np.arange(len(samples)) * 0.01, imu=samples)
     original = batch.outcomes_of
 
     def killed(units: Any, args: Any) -> Iterator[outcomes.Outcome]:

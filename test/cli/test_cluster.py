@@ -34,7 +34,8 @@ def recordings(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
     paths = [str(folder / f'{seed}.npz') for seed in range(3)]
     for seed, path in enumerate(paths):
         how = ['--preset', 'paper', '--hours', '0.02', '--rate', '50', '--seed', str(seed)]
-        assert main(['simulate', path, *how]) == 0
+        start = str(1577836800 + 3600 * seed)
+        assert main(['simulate', path, *how, '--start', start]) == 0
     return paths
 
 

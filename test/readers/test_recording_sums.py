@@ -163,3 +163,27 @@ def test_the_joined_signal_has_every_sample_of_the_accelerometer() -> None:
         np.testing.assert_array_equal(whole(both[:, 3:]), whole(alone[:, 3:]))
         np.testing.assert_array_equal(both[:, :3], parts[GYRO].statistics()[name][:, :3])
     assert (joined.statistics()['high'][:, 4] == 50.0).sum() >= 3
+
+
+def overlapping(tmp_path: Path, start_ns: int, shift_s: float) -> list[RecordingSums]:
+    """Return two recordings of 70 s at 100 Hz of which the second begins ``shift_s`` later."""
+    recorded = []
+    for seed, shift_ns in enumerate((0, round(shift_s * 1e9))):
+        samples = np.random.default_rng(seed).normal(size=(7000, 6)) * 1e-3
+        stamps = start_ns + shift_ns + np.arange(7000) * 10**7
+        path = write_bag(tmp_path / str(seed), [ImuBatch(stamps, samples)], 'mcap')
+        recorded.append(read(path))
+    return recorded
+
+
+def test_recordings_that_overlap_in_time_are_not_added(tmp_path: Path) -> None:
+    with pytest.raises(AllanError, match='have 50 s in common: samples must not count twice'):
+        add_recordings(overlapping(tmp_path, START_NS, 20.0))
+
+
+@pytest.mark.parametrize(('start_ns', 'shift_s'), [(START_NS, 69.5), (10**9, 20.0)])
+def test_recordings_with_a_short_overlap_or_times_since_boot_are_added(
+    tmp_path: Path, start_ns: int, shift_s: float
+) -> None:
+    added = add_recordings(overlapping(tmp_path, start_ns, shift_s))
+    assert added.sums[0].samples == 14000
