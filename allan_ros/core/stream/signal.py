@@ -258,8 +258,10 @@ class SignalSummary:
     used: Flags
     # (6,) median over the bins of (low + high) / 2, in SI; NaN for an axis without data
     middle: Floats
-    excluded: tuple[Excluded, ...]
-    gaps: tuple[tuple[float, float], ...]  # (start, end) in s of times without samples
+    excluded: tuple[Excluded, ...]  # without a kind only if longer than 0.1 % of the recording
+
+    # (start, end) in s of times without samples that are longer than 0.1 % of the recording
+    gaps: tuple[tuple[float, float], ...]
     starts: tuple[float, ...]  # start of each recording in s
     temperature: SignalTemperature | None = None
 
