@@ -140,8 +140,8 @@ class Console:
 def width() -> int:
     """Return the width of the output in columns, at least `NARROWEST`.
 
-    The width is ``COLUMNS`` if this variable is set, else the width of the terminal. Without a
-    terminal, the width is `UNLIMITED`.
+    The width is the environment variable ``COLUMNS`` if it is a number above 0, else the width of
+    the terminal. Without a terminal, the width is `UNLIMITED`.
     """
     return max(shutil.get_terminal_size((UNLIMITED, 24)).columns, NARROWEST)
 
@@ -149,7 +149,7 @@ def width() -> int:
 def colored(stream: TextIO) -> bool:
     """Return whether colors are printed to a stream: by default, if the stream is a terminal.
 
-    A non-empty ``NO_COLOR`` turns colors off, and a non-empty ``FORCE_COLOR`` turns them on
+    A non-empty ``NO_COLOR`` turns colors off; otherwise, a non-empty ``FORCE_COLOR`` turns them on
     (no-color.org, force-color.org). A terminal with ``TERM=dumb`` shows no colors by default.
     """
     if os.environ.get('NO_COLOR'):

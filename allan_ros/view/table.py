@@ -311,8 +311,8 @@ def records(table: Table) -> list[Record]:
 def csv_text(rows: Iterable[Record], names: Sequence[str]) -> str:
     """Return records as the text of a CSV file, with the names of the columns in the first line.
 
-    Unknown values are empty. Floating-point numbers have six significant digits. Raises ValueError
-    if a record has a name that ``names`` does not contain.
+    The cell of a value that is None or missing is empty. Floating-point numbers have six
+    significant digits. Raises ValueError if a record has a name that ``names`` does not contain.
     """
     file = io.StringIO()
     writer = csv.DictWriter(file, names, restval='', lineterminator='\n')
