@@ -244,8 +244,8 @@ because a score is computed with the noise of a fit without the settling. If the
 this noise is too large, and the score is too small."""
 
 LEAST_SEGMENT = 0.3
-"""Least length of the first segment with block means of a recording, relative to the recording, for
-which a settling is searched for in this segment."""
+"""Least length of the first segment with block means, relative to the length of the recording. A
+settling is not searched for in a shorter first segment."""
 
 TESTED_RECORDINGS = 4
 """Largest number of recordings that are tested for a settling: the longest recordings."""
@@ -393,9 +393,9 @@ def settling_findings(sums: AllanSums, found: Sequence[SensorSettling]) -> list[
         size = quantity(max(sizes), sensor_of(axes[0]), 'signal')
         time = sensor_settling.settling.time * tau0
         if sensor_settling.left > MOST_LEFT:
-            longer = time * math.log(sensor_settling.left / MOST_LEFT)
-            needed = max(r.samples for r in sums.recordings) * tau0 + longer
-            findings.append(finding('not_settled', axes, size=size, time=time, how_long=needed))
+            further_s = time * math.log(sensor_settling.left / MOST_LEFT)
+            needed_s = max(r.samples for r in sums.recordings) * tau0 + further_s
+            findings.append(finding('not_settled', axes, size=size, time=time, how_long=needed_s))
         else:
             findings.append(finding('settling', axes, size=size, time=time))
     return findings
@@ -419,7 +419,7 @@ without steps, for which the steps are reported. A drift that is not a random wa
 a few steps, but such steps explain less of the random walk."""
 
 PROMISING_STEP = 8.0
-"""Least score (approximate gain) of a step for which the noise is fitted again. It is below
+"""Least score (approximate gain) of a step for which the noise is fitted again. The number is below
 `GAIN_STEPS`, because the score is computed with the noise of a fit without the step. If there is a
 step, this noise is too large, and the score is too small."""
 
@@ -472,12 +472,12 @@ def step_findings(sums: AllanSums, known: Statistics, without: set[int]) -> list
     all_means = [(r, m) for r in sums.recordings for m in r.means]
     if not all_means:
         return []
-    recording, longest = max(all_means, key=lambda pair: pair[1].samples)
-    segment = SegmentStatistics.of(known, longest, tau0)
+    recording, longest_means = max(all_means, key=lambda pair: pair[1].samples)
+    segment = SegmentStatistics.of(known, longest_means, tau0)
     if segment is None:
         return []
     first_period = recording.periods[0]
-    begin = first_period.begin * tau0 + (longest.start_ns - first_period.begin_ns) * 1e-9
+    begin = first_period.begin * tau0 + (longest_means.start_ns - first_period.begin_ns) * 1e-9
     findings = []
     for i, axis in enumerate(sums.axes):
         steps = None if i in without else bias_steps(segment, i)
@@ -487,7 +487,7 @@ def step_findings(sums: AllanSums, known: Statistics, without: set[int]) -> list
         if walk_after < STEPS_RATIO * walk_before:
             share = 1.0 - math.sqrt(walk_after / walk_before)
             size = float(np.abs(steps.effects.sizes).max())
-            times = [begin + (k + 1) * longest.step * tau0 for k in sorted(steps.indices)]
+            times = [begin + (k + 1) * longest_means.step * tau0 for k in sorted(steps.indices)]
             times_text = ', '.join(map(duration_text, times))
             findings.append(finding('bias_steps', (axis,), size=size, share=share, at=times_text))
     return findings

@@ -222,7 +222,7 @@ def _estimate(rules: Selection) -> SelectedModel:
     lack: dict[int, float] = {}
     if not best.test_results.holds:
         rules, fit, lack = _down_weighted(rules, fit)
-    if rules.signed:  # corrects the estimates for a term in f^4 that is too small for the test
+    if rules.signed:  # a term in f^4 may be too small for the test, but change the estimates
         fit = rules.data.solve(
             (*fit.components, FILTER), None, np.append(fit.p, 0.0), signed=(Q, len(fit.p))
         )
@@ -279,16 +279,16 @@ def _highest(rules: Selection) -> _Trial:
         tops = tops[1:]
         while len(tops) > 1 and _relative_power(rules.data, tops[0]) < LOST_POWER[1]:
             tops = tops[1:]
-    fair = None
+    fair_trial = None
     for top in tops:
-        if fair is not None and top < fair.top / 4.0:
+        if fair_trial is not None and top < fair_trial.top / 4.0:
             break
         trial = _trial(rules, top)
         if trial.test_results.holds and (top == TOPS[0] or _loses_power(rules.data, trial.fit)):
             return trial
-        if fair is None and trial.test_results.is_fair:
-            fair = trial
-    return fair or _trial(rules, tops[0])
+        if fair_trial is None and trial.test_results.is_fair:
+            fair_trial = trial
+    return fair_trial or _trial(rules, tops[0])
 
 
 def _bends_like_noise(rules: Selection) -> bool:

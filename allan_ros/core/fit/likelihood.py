@@ -35,8 +35,8 @@ LEVEL_95 = 3.841
 of freedom."""
 
 RIDGE = 1e-9
-"""Number that is added to the diagonal of the scaled information matrix, so that the matrix is
-regular even if the data cannot distinguish two coefficients."""
+"""Number that is added to the diagonal of the scaled information matrix, so that the matrix can be
+inverted even if the data cannot distinguish two coefficients."""
 
 
 class Shape(NamedTuple):
@@ -217,14 +217,14 @@ class AxisData:
         s = columns.power @ p
         if np.any(s <= 0.0):
             return None
-        half = self.dof[self.used] / 2.0
+        half_dof = self.dof[self.used] / 2.0
         ratio = self.power[self.used] / s
-        value = 2.0 * float(half @ (np.log(s) + ratio))
-        a = columns.power * (np.sqrt(half) / s)[:, None]
-        information, moment = a.T @ a, a.T @ (ratio * np.sqrt(half))
+        value = 2.0 * float(half_dof @ (np.log(s) + ratio))
+        a = columns.power * (np.sqrt(half_dof) / s)[:, None]
+        information, moment = a.T @ a, a.T @ (ratio * np.sqrt(half_dof))
         for (count, gram, _), d in zip(self.low, columns.low):
-            flat = d.reshape(len(p), -1)
-            root, failure = lapack.dpotrf((p @ flat).reshape(d.shape[1:]), lower=1)
+            flat_covariances = d.reshape(len(p), -1)
+            root, failure = lapack.dpotrf((p @ flat_covariances).reshape(d.shape[1:]), lower=1)
             if failure:
                 return None
             inverse_root = lapack.dtrtri(root, lower=1)[0]
@@ -233,7 +233,7 @@ class AxisData:
             value += 2.0 * count * float(np.log(np.diag(root)).sum()) + float(np.sum(gram * v))
             transposed = dv.transpose(0, 2, 1).reshape(len(p), -1)
             information += 0.5 * count * dv.reshape(len(p), -1) @ transposed.T
-            moment += 0.5 * flat @ vgv.ravel()
+            moment += 0.5 * flat_covariances @ vgv.ravel()
         return value, information, moment
 
     def _is_positive(self, columns: Columns, p: Floats) -> bool:
@@ -420,8 +420,8 @@ def profile_interval(
     distance_at_zero = distance(0.0) if estimate < 20.0 * error else 20.0
     low = 0.0
     if distance_at_zero > z:
-        least = max(estimate - 4.0 * error, 0.0)
-        low = _crossing(distance, z, estimate, least, distance_at_zero if least == 0.0 else 4.0)
+        lowest = max(estimate - 4.0 * error, 0.0)
+        low = _crossing(distance, z, estimate, lowest, distance_at_zero if lowest == 0.0 else 4.0)
     high = estimate + 2.0 * error
     distance_at_high = distance(high)
     while distance_at_high < z and high < 1e12:
@@ -489,7 +489,7 @@ def ramp_estimate(data: AxisData, fit: Fit) -> RampEstimate | None:
             continue  # a ramp has no effect on symmetric contrasts
         d = np.array([column[g] for column in columns])
         line_weights = contrasts(group.size)[:, 0]
-        # the line contrast of a ramp of 1 per sample
+        # first contrast, a line in time, of a ramp of 1 per sample
         unit_line = statistics.step * float(np.arange(group.size.points) @ line_weights)
         e = np.zeros(d.shape[1])
         e[0] = unit_line

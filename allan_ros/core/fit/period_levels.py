@@ -33,10 +33,11 @@ from .statistics import Floats, Statistics, decay_of_means, mean_alias
 
 LEVEL_CHANGES = 1e-3
 """Probability in Bartlett's test, or in a test of two levels, below which levels of the white noise
-of an axis count as different. Measured false alarms: none in 240 recordings."""
+of an axis count as different. In a search for a change, the probability is first multiplied by the
+number of periods. Measured false alarms: none in 240 recordings."""
 
 TOP_OCTAVES = 3
-"""Number of the highest octaves, in which the level of the white noise is measured."""
+"""Number of octaves, the highest ones, in which the level of the white noise is measured."""
 
 SINUSOID_RATIO = 1.5
 """Largest ratio of the power of a bin to the median power of all bins of its octave. A bin with a
@@ -99,8 +100,8 @@ class PeriodLevels:
         The weights are the degrees of freedom. ``before`` is at least 1.
         """
         order = np.argsort(self.power[:before, axis])
-        weight = np.cumsum(self.dof[:before, axis][order])
-        at = int(np.searchsorted(weight, weight[-1] / 2.0))
+        cumulative_dof = np.cumsum(self.dof[:before, axis][order])
+        at = int(np.searchsorted(cumulative_dof, cumulative_dof[-1] / 2.0))
         return float(self.power[order[at], axis])
 
     def spread(self, axis: int) -> float:
@@ -297,7 +298,7 @@ def present_part(sums: AllanSums, levels: PeriodLevels) -> tuple[int, tuple[int,
     Both results are indices. An axis has changed if N of the axis changed by more than
     `LEAST_CHANGE` at the start of this period. A change is ignored if the data after the change
     last less than `LEAST_LAST_S`, or less than the share `LEAST_LAST_PART` of all data. The result
-    is None if no axis has another significant change of more than `LEAST_CHANGE`.
+    is None if no change remains.
     """
     total = levels.samples.sum()
     least_samples = max(LEAST_LAST_S / (sums.tau0 or 1.0), LEAST_LAST_PART * total)

@@ -235,9 +235,9 @@ class ModelLine(NamedTuple):
 def model_line(fit: AxisFit, tau0: float, m: NDArray[np.int64]) -> ModelLine:
     """Return the Allan deviation of the model at the averaging factors ``m`` of a curve, in SI.
 
-    ``m`` and both arrays of the result are (factors,). ``tau0`` is the sample period in s.
-    Both arrays are NaN below the shortest averaging time that the model describes, and where the
-    Allan variance of the model is not above 0.
+    ``m`` and both arrays of the result are (factors,). ``tau0`` is the sample period in s. Both
+    arrays are NaN below the shortest averaging time that the model describes, and where the Allan
+    variance of the model is not above 0.
     """
     # the Allan variance of a model with a low-pass filter may be negative at short times
     with np.errstate(invalid='ignore'):

@@ -61,9 +61,10 @@ TOLERANCE = 0.03
 
 PROMISING = 0.4
 """A candidate is fitted only if its approximate gain is at least this fraction of the threshold.
-The shape of a fitted candidate is improved only if this can make it the best candidate. Before this
-improvement, its gain is assumed to be at least this fraction of the final gain. Both conditions
-save time. They do not change the false alarms in recordings without processes."""
+The shape of a fitted candidate is improved only if the candidate can become the best one. Before
+this improvement, the gain of the candidate is assumed to be at least this fraction of the final
+gain. Both conditions save time. They do not change the false alarms in recordings without
+processes."""
 
 
 @dataclass(frozen=True, eq=False)

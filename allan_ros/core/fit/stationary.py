@@ -3,8 +3,8 @@
 """Fit of all axes of an IMU, also if the noise changes with time: `fit_stationary`.
 
 If the level of the white noise has changed, only the data after the change are fitted. A settling
-of the bias is part of the model. The predictive intervals contain the scatter of the noise level
-between periods. Findings report all these changes.
+of the bias is part of the model. Predictive intervals take into account how much the noise level
+varies between periods. Findings report all these changes.
 """
 
 from __future__ import annotations
@@ -268,7 +268,8 @@ def _level_finding(
 def level_findings(sums: AllanSums, levels: PeriodLevels, model: NoiseModel) -> list[Finding]:
     """Return a finding for each axis with a resolved N that varies between the periods.
 
-    The ratio of the highest to the lowest N must exceed `LEVEL_RATIO` or `LARGE_RATIO`.
+    The ratio of the highest to the lowest N must exceed `LEVEL_RATIO`. It must exceed `LARGE_RATIO`
+    if the scatter between neighboring periods may explain the variation.
     """
     place = 'between recordings' if len(sums.recordings) > 1 else 'within the recording'
     findings = []
@@ -367,32 +368,32 @@ def _with_predictive_intervals(
     return replace(model, axes=axes)
 
 
-def _fit_with_scatter(fit: AxisFit, white: float, drift: float) -> AxisFit:
+def _fit_with_scatter(fit: AxisFit, white_scatter: float, drift_scatter: float) -> AxisFit:
     """Return a fit with the predictive intervals of N, B and K.
 
-    ``white`` and ``drift`` are `AxisFit.white_scatter` and `AxisFit.drift_scatter`. Upper limits
-    are multiplied by the exponential of the scatter.
+    The parameters are the fields of `AxisFit` with the same names. Upper limits are multiplied by
+    the exponential of the scatter.
     """
     noise = dict(fit.noise)
-    for letter, half in (('N', white), ('B', drift), ('K', drift)):
-        if half:
-            noise[letter] = _predicted(noise[letter], half)
-    return replace(fit, noise=noise, white_scatter=white, drift_scatter=drift)
+    for letter, half_width in (('N', white_scatter), ('B', drift_scatter), ('K', drift_scatter)):
+        if half_width:
+            noise[letter] = _predicted(noise[letter], half_width)
+    return replace(fit, noise=noise, white_scatter=white_scatter, drift_scatter=drift_scatter)
 
 
-def _predicted(estimate: Estimate, half: float) -> Estimate:
+def _predicted(estimate: Estimate, half_width: float) -> Estimate:
     """Return an estimate with its predictive interval, or with a larger upper limit.
 
     An estimate without an interval and without a limit is returned unchanged.
 
-    ``half`` is half of the width of the 95 % interval of the logarithm of the value in another
-    hour.
+    ``half_width`` is half of the width of the 95 % interval of the logarithm of the value in
+    another hour.
     """
     value, interval, limit = estimate.value, estimate.recording_ci95, estimate.upper95
     if limit is not None:
-        return replace(estimate, upper95=limit * math.exp(half))
+        return replace(estimate, upper95=limit * math.exp(half_width))
     if not value or interval is None:
         return estimate
-    low = math.hypot(math.log(value / interval[0]), half) if interval[0] > 0.0 else math.inf
-    high = math.hypot(math.log(interval[1] / value), half)
+    low = math.hypot(math.log(value / interval[0]), half_width) if interval[0] > 0.0 else math.inf
+    high = math.hypot(math.log(interval[1] / value), half_width)
     return replace(estimate, predictive_ci95=(value * math.exp(-low), value * math.exp(high)))

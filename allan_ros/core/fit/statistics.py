@@ -174,7 +174,8 @@ def without_lines(low: Iterable[Floats], sizes: Sizes) -> list[Floats]:
     return [a[size.lines :, size.lines :] for a, size in zip(low, sizes)]
 
 
-@lru_cache(maxsize=48)  # without a settling, there are at most 16 groups, or 36 of pieces
+# without a settling, there are at most 16 groups, or 36 if segments are divided into pieces
+@lru_cache(maxsize=48)
 def _transformed(size: Size) -> Floats:
     """Return the Fourier transform of the contrasts, (rows, contrasts): real, then imaginary parts.
 
@@ -410,15 +411,15 @@ def statistics(sums: AllanSums, settling: Settling | None = None) -> Statistics:
     spectra = pooled_spectra(sums)
     longest = sums.longest
     octaves = 0
-    for o, number in enumerate(spectra.blocks.tolist()):
-        if number < 1 or (o and LOWEST_BLOCKS * octave(o).length > longest):
+    for o, blocks in enumerate(spectra.blocks.tolist()):
+        if blocks < 1 or (o and LOWEST_BLOCKS * octave(o).length > longest):
             break
         octaves = o + 1
     is_used = spectra.octave < octaves
     power, settling_share = spectra.power[is_used], np.zeros_like(spectra.power[is_used])
     if settling is not None:
-        number = np.maximum(spectra.blocks[spectra.octave[is_used]], 1)[:, None]
-        mean_settling_power = settling_power(sums, settling, octaves) / number
+        blocks_of_bins = np.maximum(spectra.blocks[spectra.octave[is_used]], 1)[:, None]
+        mean_settling_power = settling_power(sums, settling, octaves) / blocks_of_bins
         settling_share = np.clip(
             mean_settling_power / np.maximum(power, 1e-300), 0.0, LARGEST_SETTLING_SHARE
         )
@@ -520,7 +521,7 @@ def elapsed(recording: RecordedPeriods, means: BlockMeans, tau0: float) -> float
 
 
 def _coarser(y: Floats, factor: int) -> Floats:
-    """Return the means over groups of ``factor`` neighboring columns of y, (axes, points)."""
+    """Return the means over groups of ``factor`` neighboring columns of y, (axes, columns)."""
     points = y.shape[1] // factor
     return np.asarray(y[:, : points * factor].reshape(len(y), points, factor).mean(axis=2))
 

@@ -105,7 +105,8 @@ def temperature_models(
     """Return axis -> model of the bias of the axis over temperature, and findings.
 
     There are no models if the temperature is known for too few block means, varies too little, or
-    varies in one direction only; in the last case, a finding states the range of the temperature.
+    does not both rise and fall enough. In the last case, a finding states the range of the
+    temperature.
     An axis has no model if it has no estimate of N, or if an interval of b0, b1 or b2 is unknown.
 
     Parameters
@@ -298,7 +299,7 @@ class _Contrasts:
         covariances = self.covariances
         precision = np.linalg.inv(np.tensordot(fit.p, covariances, 1))
         weighed = precision @ effects
-        covariance = inverse(effects.T @ weighed)  # the matrix is singular for two temperatures
+        covariance = inverse(effects.T @ weighed)  # singular if there are only two temperatures
         gain = covariance @ weighed.T
         gain_covariances = gain @ covariances  # shape (processes, effects, contrasts)
         errors = inverse(fit.information)
@@ -348,7 +349,7 @@ def _model(
     corrected_data, corrected_fit = contrasts.fitted(_complement(columns))
     estimates = contrasts.regression(corrected_fit, columns)
     slopes, slope_covariance = estimates.values[:2], estimates.covariance[:2, :2]
-    test = slopes @ np.linalg.solve(slope_covariance, slopes) / 2.0
+    f_statistic = slopes @ np.linalg.solve(slope_covariance, slopes) / 2.0
     values, covariance = estimates.values * math.sqrt(scale), estimates.covariance * scale
     # the variance of `level` contains white noise of all block means, and errors of the effects
     y, mean_effects = blocks.values[:, contrasts.data.axis], effects.mean(axis=0)
@@ -380,7 +381,7 @@ def _model(
         hysteresis=float(values[2]),
         hysteresis_ci95=hysteresis_ci95,
         rate=float(np.abs(blocks.rate).mean()) / (blocks.step * tau0),
-        resolved=bool(fdtrc(2.0, estimates.dof[:2].min(), test) < TEMPERATURE_RESOLVED),
+        resolved=bool(fdtrc(2.0, estimates.dof[:2].min(), f_statistic) < TEMPERATURE_RESOLVED),
         explained=min(max(1.0 - remaining_drift / drift, 0.0), 1.0) if has_drift else None,
         averaging_time=blocks.step * tau0,
         measured=_slow_noise(*contrasts.fitted(np.eye(len(columns))), tau0),
