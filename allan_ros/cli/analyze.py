@@ -347,9 +347,10 @@ CHECK_TEXT = """
 Check IMUs for production tests and continuous integration: one line for each unit, the totals, and
 an exit code. A unit passes only if every limit is met and nothing makes it suspect.
 
-An input is a recording, a results.json, the folder of an analysis, or a folder of these. Each input
-is one unit; files of one split bag are one unit, too. A unit is compared with the limits of --plan,
-with the datasheet of --sensor, and with the accepted earlier run of --baseline, if they are given.
+An input is a recording, a results.json, the folder of an analysis, or a folder of these. Each
+recording and each analysis is one unit; the files of a split bag are one unit together. A unit is
+compared with the limits of --plan, with the datasheet of --sensor, and with the accepted earlier
+run of --baseline, if they are given.
 `allan sensors NAME --as-plan` prints a plan to start with.
 
   allan check my_bag --sensor adis16475-3

@@ -102,8 +102,8 @@ Measure how much running motors increase the noise of a robot at rest.
 
 REST is the robot at rest with its motors off, and RUNNING is the robot at rest with its motors on.
 Each is a results.json, the folder of an analysis, or a recording. The output contains N and K for a
-state estimator with motors off and on, their ratio, the ratio of the Allan deviations, and the
-option for `allan export`.
+state estimator with motors on, the factors by which the motors increase N and K, the ratios of the
+Allan deviations, and the option for `allan export`.
 
   allan inflate rest/results.json motors_on/results.json
   allan inflate rest_bag motors_on_bag --json > inflation.json
