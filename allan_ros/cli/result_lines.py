@@ -23,6 +23,7 @@ from ..view.table import Cell, Heading, Table, terminal_lines
 from ..view.verdict_text import (
     VERDICT_WORDS,
     Verdict,
+    datasheet_title,
     finding_text,
     findings_and_notes,
     further_steps,
@@ -63,7 +64,7 @@ def datasheet_lines(results: Results, units: str, columns: int) -> Iterator[str]
     if sheet is None:
         return
     summary = 'not judged' if results.is_too_short else HEADLINES[worst_verdict(checks)]
-    headline = f'compared with the datasheet of {sheet.name}: {summary}'
+    headline = f'compared with {datasheet_title(results)}: {summary}'
     yield from wrapped(headline, columns, '  ')
     groups: dict[tuple[str, str, float], list[Check]] = {}
     for c in checks:

@@ -391,8 +391,8 @@ def plan_text(sheet: Datasheet) -> str:
     """
     lines = [
         f'# Test plan from the datasheet of {sheet.name}.',
-        f'# Upper limits: typical figures plus {MARGIN:.0%}. Lower limit of N: a third of the',
-        '# typical N. A smaller N is due to a wrong unit of measurement or low-pass filter.',
+        f'# Upper limits: typical figures plus {100.0 * MARGIN:.0f} %. Lower limit of N: a third',
+        '# of the typical N. A smaller N is due to a wrong unit of measurement or low-pass filter.',
         f'schema: {SCHEMA}',
         f'name: {sheet.name}',
     ]

@@ -192,6 +192,16 @@ def _steps(results: Results, comparisons: Sequence[Check]) -> Iterator[str]:
             yield 'For the noise in motion, record drives between rests (docs/motion.md).'
 
 
+def datasheet_title(results: Results) -> str:
+    """Return which limits the coefficients are compared with: the datasheet and the margin.
+
+    The results must have a datasheet.
+    """
+    assert results.datasheet is not None
+    margin = f' plus {100.0 * results.margin:.3g} %' if results.margin else ''
+    return f'the datasheet of {results.datasheet.name}{margin}'
+
+
 def further_steps(results: Results, verdict: Verdict) -> list[str]:
     """Return the next steps of a verdict except the remedies of findings."""
     remedies = tuple(r for f in results.findings if (r := texts_of(f).remedy.rstrip('.')))

@@ -23,7 +23,7 @@ def test_analyze_prints_and_keeps_the_comparison_with_a_datasheet(
     assert found['name'] == 'ADIS16475-3'
     assert found['axes']['gyro_x']['N']['verdict'] == 'within'
     said = capsys.readouterr().out
-    assert 'compared with the datasheet of ADIS16475-3: ' in said
+    assert 'compared with the datasheet of ADIS16475-3 plus 20 %: ' in said
     assert 'gyro  N  x y z within: limit 0.300 deg/sqrt(h) (stated 0.3 deg/sqrt(h))' in said
 
 

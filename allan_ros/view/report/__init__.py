@@ -36,6 +36,7 @@ from ..table import in_units
 from ..verdict_text import (
     VERDICT_WORDS,
     Verdict,
+    datasheet_title,
     findings_and_notes,
     further_steps,
     used_samples,
@@ -257,10 +258,9 @@ def _comparisons(
     results: Results, sensors: Mapping[str, Mapping[str, AxisResult]]
 ) -> Iterator[str]:
     if results.datasheet:
-        name = escape(results.datasheet.name)
         checks = results.datasheet_checks
         parts = [[*datasheet_html(axes, results.datasheet, checks)] for axes in sensors.values()]
-        title = f'Compared with the datasheet of {name}'
+        title = f'Compared with {escape(datasheet_title(results))}'
         yield from _fold('datasheet', title, _pair(sensors, parts), shown=True)
     for i, (reference, baseline) in enumerate(results.baselines.items()):
         baseline_checks = [c for c in results.comparisons if c.reference == reference]
