@@ -71,8 +71,8 @@ class Fit:
     information : (components, components) array
         Fisher information of the coefficients; empty if ``value`` is infinite.
     moment : (components,) array
-        ``moment`` - ``information`` @ ``p`` is the score (gradient of the log likelihood). Empty if
-        ``value`` is infinite.
+        ``moment`` - ``information`` @ ``p`` is the score (gradient of the log likelihood), to first
+        order in the last step of the search. Empty if ``value`` is infinite.
     columns : Columns
         Expected statistics of the components.
     signed : tuple of int
