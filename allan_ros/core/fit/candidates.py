@@ -32,8 +32,8 @@ WANDER = 1e-3
 sinusoid has the same uncertainty in cycles per sample."""
 
 LEAST_OWN = 1e-5
-"""Least share of the information of a candidate that the components of the fit do not contain. With
-a smaller share, the candidate cannot be distinguished from these components."""
+"""Least share of the Fisher information of a candidate that is independent of the components of the
+fit. With a smaller share, the candidate cannot be distinguished from these components."""
 
 
 class Moments(NamedTuple):

@@ -7,8 +7,8 @@ Method
 Processes are added one at a time. Every candidate is rated by an approximation of its gain in
 -2 log L: the square of the score divided by the information. The best candidate of each kind is
 fitted, and its shape is improved. Of these fits, the selection keeps the one whose gain exceeds the
-threshold of its kind by the largest amount. It ends if no gain exceeds the threshold, after six
-processes, or if the processes imitate a low-pass filter.
+threshold of its kind by the largest amount. The search ends if no gain exceeds the threshold, after
+six processes, or if the processes imitate a low-pass filter.
 """
 
 from __future__ import annotations
@@ -49,8 +49,8 @@ ALIASED = 0.1
 in a bin, or the variance of the alias in the block means, relative to the noise."""
 
 STRONG = 0.998
-"""If a sinusoid has at least this share of the power of a bin, the power that it adds to distant
-bins is considered, too."""
+"""If a sinusoid has at least this share of the power of a bin, the power that the sinusoid adds to
+distant bins is considered, too."""
 
 EXCLUDED = 1e-6
 """Factor of the degrees of freedom of bins that may contain the alias of a sinusoid: nearly 0, so
