@@ -67,8 +67,6 @@ class Estimate:
         'estimated' if the data show that the number is not 0, or if the number is not compared
         with 0, such as a bias or a coefficient of method 'paper'. A 'likely' number is not
         resolved, but its estimated square exceeds 0 by more than the standard error of this square.
-    lower95 : float or None
-        95 % lower limit of a number whose interval has no upper end, else None.
     predictive_ci95 : (low, high) or None
         95 % interval of the value in another hour of the same sensor; None if the noise does not
         vary significantly within the recording, or if the interval is unknown.
@@ -105,7 +103,6 @@ class Estimate:
     recording_ci95: Ends | None = None
     upper95: float | None = None
     status: Status = 'estimated'
-    lower95: float | None = None
     predictive_ci95: Ends | None = None
     name: str = ''
     unit: str = ''
@@ -169,16 +166,12 @@ class Estimate:
             low, high = sorted(factor * end for end in interval)
             return low, high
 
-        def limit(bound: float | None) -> float | None:
-            return None if bound is None else abs(factor) * bound
-
         return replace(
             self,
             value=None if self.value is None else factor * self.value,
             recording_ci95=ends(self.recording_ci95),
             predictive_ci95=ends(self.predictive_ci95),
-            lower95=limit(self.lower95),
-            upper95=limit(self.upper95),
+            upper95=None if self.upper95 is None else abs(factor) * self.upper95,
         )
 
     def to(self, unit: str) -> Estimate:
@@ -210,23 +203,20 @@ class Estimate:
     def document(self) -> dict[str, Any]:
         """Return the estimate as a JSON object, without name, unit and axis.
 
-        Unknown numbers are None, except that an unknown lower limit has no key. ``ci95`` is the
-        interval that is shown; ``recording_ci95`` is a key only if the predictive interval is
-        known.
+        Unknown numbers are None. ``ci95`` is the interval that is shown. ``recording_ci95`` is a
+        key only if the predictive interval is known.
         """
         numbers: dict[str, Any] = {'value': self.value, 'ci95': self.ci95}
         if self.predictive_ci95 is not None:
             numbers['recording_ci95'] = self.recording_ci95
-        if self.lower95 is not None:
-            numbers['lower95'] = self.lower95
         return {**numbers, 'upper95': self.upper95, 'status': self.status}
 
     @classmethod
     def from_document(cls, fields: Fields, signed: bool = False) -> Estimate:
         """Return the estimate that `document` wrote as a JSON object.
 
-        Name, unit and axis are not stored; missing numbers are None. With ``signed``, the value and
-        the lower limit may be negative. Raises AllanError if a number or an end of an interval is
+        Name, unit and axis are not stored; missing numbers are None. With ``signed``, the value may
+        be negative. Raises AllanError if a number or an end of an interval is
         no number or out of range, if the status is missing or unknown, or if there is only
         ``recording_ci95`` without ``ci95``.
         """
@@ -242,7 +232,6 @@ class Estimate:
             fields.typed('recording_ci95' if has_predictive else 'ci95', Ends | None),
             number('upper95'),
             fields.typed('status', Status),
-            number('lower95', least),
             fields.typed('ci95', Ends) if has_predictive else None,
         )
 

@@ -34,11 +34,11 @@ def test_the_predictive_interval_is_shown_once_it_is_known() -> None:
 
 
 def test_every_number_is_converted_to_another_unit() -> None:
-    one = Estimate(1.0, (0.5, 2.0), 3.0, 'estimated', 0.1, (0.4, 2.5), 'B', 'rad/s', 'gyro_x')
+    one = Estimate(1.0, (0.5, 2.0), 3.0, 'estimated', (0.4, 2.5), 'B', 'rad/s', 'gyro_x')
     other = one.to('deg/s')
     factor = 180.0 / math.pi
     assert other == Estimate(
-        *(factor, (0.5 * factor, 2.0 * factor), 3.0 * factor, 'estimated', 0.1 * factor),
+        *(factor, (0.5 * factor, 2.0 * factor), 3.0 * factor, 'estimated'),
         *((0.4 * factor, 2.5 * factor), 'B', 'deg/s', 'gyro_x'),
     )
     with pytest.raises(AllanError, match='deg/h'):
