@@ -8,7 +8,8 @@ sensor. A recording is not a noise recording if at least half of its axes are di
 Conditions for a disturbed axis
 -------------------------------
 An axis is disturbed if one of these conditions holds. The conditions are chosen so that none of
-them holds for a sensor at rest beside a fan, which adds only a few sinusoids.
+them holds for a sensor at rest beside a fan, which adds only a few sinusoids. An axis without a
+value or an upper limit of N is not regarded as disturbed.
 
 1. Several broad or slow oscillations, or more than `MOST_LINES` oscillations of any kind, together
    have more variance than the white noise of a sample. Sinusoids of up to 0.1 Hz are regarded as

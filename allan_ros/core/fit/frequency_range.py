@@ -49,9 +49,9 @@ LOST_POWER = 0.8, 0.5
 """Least power in the highest octave of a fit, relative to the power two octaves lower, if the
 spectrum looks low-pass filtered. With less power, the fit is not tried, because several processes
 may imitate the filter, and the fit takes up to four times as long. The first number is for a fit of
-all frequencies, the second for a fit without the highest octaves of the data. There are two
-exceptions: a fit of the lowest frequencies is always possible, and a fit of all frequencies is
-tried if a fast process explains the spectrum (`_bends_like_noise`)."""
+all frequencies. If this fit is excluded, the second number is for fits without the highest octaves
+of the data. There are two exceptions: a fit of the lowest frequencies is always possible, and a fit
+of all frequencies is tried if a fast process explains the spectrum (`_bends_like_noise`)."""
 
 FILTERED_FROM = 0.375
 """Frequency, in cycles per sample, above which the power is compared with a fit (`EXPLAINED`). A
