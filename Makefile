@@ -101,7 +101,7 @@ test-pythons:  ## run all tests on every installed CPython from 3.10 to 3.14
 		echo "== Python $$version"; \
 		$(MAKE) test PYTHON=$$python VENV=.venv-$$version </dev/null || exit 1; done
 
-test-floor: $(FLOOR)/.ready  ## run the tests of core to export, view and cli on the oldest numpy and scipy
+test-floor: $(FLOOR)/.ready  ## run the tests that need no ROS on the oldest numpy and scipy
 	$(FLOOR)/bin/python -m pytest -q -n $(JOBS) --dist loadfile test/core test/readers test/results test/export test/view test/cli
 
 clean:  ## remove environments and what was built

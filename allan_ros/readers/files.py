@@ -328,7 +328,7 @@ def config_names(kind: str) -> list[str]:
     return sorted({path.stem for folder in config_folders(kind) for path in folder.glob('*.yaml')})
 
 
-def config_file(kind: str, name: str, called: str) -> Path:
+def config_file(kind: str, name: str, description: str) -> Path:
     """Return the path of a configuration file, given its name or path.
 
     Parameters
@@ -338,7 +338,7 @@ def config_file(kind: str, name: str, called: str) -> Path:
     name : str
         Name of the file without suffix, or path of a .yaml or .yml file. In a name, capital letters
         and punctuation do not matter. A path is not checked.
-    called : str
+    description : str
         Word for such a file in error messages, such as 'datasheet'.
 
     Raises
@@ -361,7 +361,7 @@ def config_file(kind: str, name: str, called: str) -> Path:
                 if os.path.isfile(file):  # unlike `Path.is_file`, it never raises an error
                     return file
     raise AllanError(
-        f'no {called} {name!r}: {_suggestion(name.lower(), config_names(kind))}, '
+        f'no {description} {name!r}: {_suggestion(name.lower(), config_names(kind))}, '
         'or give the path of a .yaml file'
     )
 

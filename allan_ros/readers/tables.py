@@ -77,8 +77,9 @@ def open_table(path: Path, options: ReadOptions) -> Recording:
     """Open a table of numbers in a text file as a recording.
 
     Raises AllanError when the file is not a table, when it has no rows, when neither the file nor
-    the options name its columns, when no column or two columns are the same axis, when the unit of
-    an axis or of the times is unknown, or when there are neither times nor a rate in the options.
+    the options name its columns, when no column is an axis, when two columns are the same axis,
+    when the unit of an axis or of the times is unknown, or when there are neither times nor a rate
+    in the options.
     """
     with _text(path) as file:
         table = _layout(path, file, options)

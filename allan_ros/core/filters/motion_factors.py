@@ -357,7 +357,10 @@ def _ratio(data: DriveLikelihood, fit: DriveFit, sensor: str) -> Estimate:
 def _raised(
     data: DriveLikelihood, fit: DriveFit, sensor: str, part: NoisePart
 ) -> tuple[Estimate | None, Estimate | None]:
-    """Return the factors of white noise and drift of a sensor; None for noise without a factor."""
+    """Return the factors by which white noise and drift of a sensor are larger in motion.
+
+    A factor is None if the fit has no factor of this noise.
+    """
     half_widths = _quantile(len(fit.scores)) * fit.errors
     factors = {
         names[0]: tuple(math.exp((x + sign * h - offset) / 2.0) for sign in (0.0, -1.0, 1.0))

@@ -195,7 +195,7 @@ class Model:
 
     @property
     def has_drift(self) -> bool:
-        """Whether the model has drift (`Process.is_drift`) other than white noise."""
+        """Whether a process of the model, other than white noise, is drift (`Process.is_drift`)."""
         return any(p.process.is_drift and not p.process.is_white for p in self.parts)
 
     def avar(self, tau: ArrayLike, tau0: float = 0.0) -> Floats:

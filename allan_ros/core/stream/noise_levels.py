@@ -26,7 +26,7 @@ Change = Literal['noise_decreased', 'noise_increased']
 """How the noise of a level differs from the noise of the previous level."""
 
 ExcludedAs = Literal['moving', 'stuck', 'noise_decreased', 'noise_increased']
-"""Field of `Counts` that counts the samples of a noise level if they are not in the result."""
+"""Field of `Counts` that counts the samples of a noise level that is excluded from the result."""
 
 
 class StreamSums(NamedTuple):

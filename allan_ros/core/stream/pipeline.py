@@ -62,10 +62,10 @@ class Present(NamedTuple):
 class Accumulation:
     """Results of a stream: Allan sums, health, findings and segments.
 
-    ``sums`` has one entry for all axes, or several entries, for example one per sensor if their
-    rates differ. An axis without data is in no entry. If the sample rate or the frame_id changed,
-    or a fault ended, the entries are the sums with the longest elapsed time of each axis. If an
-    axis is in two entries, its longer sums are in the later entry. ``segments`` are the longest
+    ``sums`` has one entry for all axes, or one per sensor if their rates differ. An axis without
+    data is in no entry. After a change of the sample rate or the frame_id, or after a fault,
+    ``sums`` contains the sums with the longest elapsed time of each axis. An axis can then be in
+    two entries, and its longer sums are in the later one. ``segments`` are the longest
     segments of the first entry of ``sums``.
     """
 

@@ -112,9 +112,9 @@ def _are_extreme(rows: Floats) -> tuple[Flags, Flags]:
 
 
 def extreme_shares(rows: Floats) -> Floats:
-    """Return the share of the samples of each row, (..., n), at their extreme values, (...).
+    """Return the share of the samples of each row that equal its maximum or its minimum.
 
-    It is the share at the maximum or the share at the minimum, whichever is larger.
+    The larger of both shares is returned. ``rows`` is (..., n), and the result is (...).
     """
     counts = [np.count_nonzero(flags, axis=-1) for flags in _are_extreme(rows)]
     return np.asarray(np.maximum(*counts) / rows.shape[-1])

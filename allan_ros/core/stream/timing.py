@@ -67,9 +67,9 @@ there are fewer steps, all of them must be above 0. In long bursts of equal stam
 are above 0, and the period would depend on where the last burst begins."""
 
 EVEN_SHARE, EVEN = 0.9, 0.15
-"""Stamps have evenly spaced runs if at least the first share of the steps differs from the median
-step by at most the second fraction of the median step, and if at least two steps are longer than
-`LATE` median steps. At most 1 - `POLLED_SHARE` of the steps may be of neither kind."""
+"""Stamps have evenly spaced runs if at least 90 % of the steps between them differ from the median
+step by at most 15 %, and if at least two steps are longer than `LATE` median steps. At most
+1 - `POLLED_SHARE` of the steps may be neither even nor late."""
 
 UNEVEN = 2.0
 """For each run of evenly spaced stamps, the mean step over the run and the pause before the run is
@@ -81,9 +81,9 @@ DECLARED_RANGE = 0.25
 less than this fraction of the declared period."""
 
 MANY, EXACT = 0.2, 0.15
-"""Samples are missing regularly if at least the first share of the steps is one sample period, and
-at least the same share is a larger multiple of the period. At least `POLLED_SHARE` of the steps
-must differ from a multiple by at most the second fraction of a period."""
+"""Samples are missing regularly if at least 20 % of the steps are one sample period, and at least
+20 % are a larger multiple of the period. At least `POLLED_SHARE` of the steps must differ from a
+multiple by at most 15 % of a period."""
 
 JITTER_SHARE = 0.01
 """Stamps have jitter if more than this share of the steps is shorter than half the period."""
