@@ -278,12 +278,16 @@ def event_findings(counts: Counter[str], health: StreamHealth, when: str = '') -
 def stream_findings(
     health: StreamHealth, sums: tuple[AllanSums, ...], settings: SegmenterSettings
 ) -> list[Finding]:
-    """Return the findings about a stream, and about its Allan sums ``sums``."""
+    """Return the findings about a stream, and about its Allan sums ``sums``.
+
+    If a present fault has the id of a finding about the whole stream, only the fault is returned.
+    """
     c = health.counts
     findings = [*event_findings(events(health), health), *health.faults]
+    fault_ids = {fault.id for fault in health.faults}
 
     def add(id: str, present: object, axes: tuple[str, ...] = (), **numbers: Any) -> None:
-        if present:
+        if present and id not in fault_ids:
             findings.append(finding(id, axes, **numbers))
 
     received, used = max(c.received, 1), max(c.used, 1)
@@ -340,7 +344,6 @@ def stream_findings(
     ratios, seconds = health.largest_decrease, c.noise_decreased / rate
     has_decreased = health.rate_hz and c.noise_decreased and ratios
     smallest_ratio = min(ratios.values(), default=1.0)
-    has_decreased = has_decreased and all(fault.id != 'noise_decreased' for fault in health.faults)
     add('noise_decreased', has_decreased, tuple(ratios), ratio=smallest_ratio, seconds=seconds)
     never_at_rest = c.moving and not c.used and health.rate_hz
     add('never_still', never_at_rest, seconds=c.moving / rate)
