@@ -80,7 +80,7 @@ def test_a_ramp_that_is_not_resolved_widens_the_interval():
 def test_the_slope_prior_follows_from_the_interval_of_the_ramp():
     resolved = Estimate(1e-7, (1e-7 - 1.96 * 2e-8, 1e-7 + 1.96 * 2e-8), None, 'estimated', 1)
     assert BiasModel.of_fit(fit_with_ramp(resolved)).slope_std == pytest.approx(1.02e-7, rel=1e-3)
-    vague = BiasModel.of_fit(fit_with_ramp(Estimate(1e-7, None, None, 'estimated', 1)))
+    vague = BiasModel.of_fit(fit_with_ramp(Estimate(1e-7)))
     assert vague.slope_std > 100.0 * 1e-7
     for nothing in (Estimate(None, None, None, 'not_observable'), Estimate(0.0)):
         assert BiasModel.of_fit(fit_with_ramp(nothing)).slope_std == 0.0
