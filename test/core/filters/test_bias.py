@@ -78,7 +78,7 @@ def test_a_ramp_that_is_not_resolved_widens_the_interval():
 
 
 def test_the_slope_prior_follows_from_the_interval_of_the_ramp():
-    resolved = Estimate(1e-7, (1e-7 - 1.96 * 2e-8, 1e-7 + 1.96 * 2e-8), None, 'estimated', 1)
+    resolved = Estimate.normal(1e-7, 2e-8)
     assert BiasModel.of_fit(fit_with_ramp(resolved)).slope_std == pytest.approx(1.02e-7, rel=1e-3)
     vague = BiasModel.of_fit(fit_with_ramp(Estimate(1e-7)))
     assert vague.slope_std > 100.0 * 1e-7
