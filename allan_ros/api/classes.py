@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 from ..core.errors import AllanError
 from ..core.findings import grouped
 from ..core.imu import sensor_of
-from ..core.settings import LIST, UNIT_SYSTEMS, choose, expect, settings_from
+from ..core.settings import LIST, UNIT_SYSTEMS, check_choice, expect, settings_from
 from ..export import ExportOptions, make_export, target_of
 from ..readers.files import PATH, with_checked_paths, write_atomic
 from ..results.datasheets import Datasheet as PlainDatasheet
@@ -80,7 +80,7 @@ class Results(PlainResults):
         >>> any('Vibration' in message for message in results.messages())
         True
         """
-        choose(UNIT_SYSTEMS, units=units)
+        check_choice(UNIT_SYSTEMS, units=units)
         return [finding_line(each, units) for each in grouped(self.findings)]
 
     @classmethod
@@ -123,7 +123,7 @@ class Results(PlainResults):
         from ..view.coefficient_table import coefficient_list
         from ..view.table import records
 
-        choose(UNIT_SYSTEMS, units=units)
+        check_choice(UNIT_SYSTEMS, units=units)
         rows = records(coefficient_list(self.noise, units))
         try:
             import pandas
@@ -158,7 +158,7 @@ class Results(PlainResults):
         """
         from ..view.plots import draw_axes, sensor_figure
 
-        choose(UNIT_SYSTEMS, units=units)
+        check_choice(UNIT_SYSTEMS, units=units)
         names = [name for name in self.axes if what in (name, sensor_of(name))]
         if not names:
             raise AllanError(
@@ -244,7 +244,7 @@ class Results(PlainResults):
         from ..view.result_files import check_plots, write_result_files
 
         expect(PATH, 'a path', folder=folder)
-        choose(UNIT_SYSTEMS, units=units)
+        check_choice(UNIT_SYSTEMS, units=units)
         expect(LIST, targets=targets, plots=plots)
         check_plots(plots)
         expect(bool, overwrite=overwrite)

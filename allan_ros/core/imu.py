@@ -39,36 +39,36 @@ attack."""
 
 @dataclass(frozen=True, eq=False)
 class ImuBatch:
-    """Consecutive samples of an IMU, in the order received.
+    """Samples of an IMU with their stamps.
 
     A reader yields batches of six axes. The batches of `SampleClock` and of later processing stages
-    contain evenly spaced samples, and may contain only some of the axes.
+    contain evenly spaced samples, whose stamps may still scatter. These batches have neither record
+    times nor a frame_id, and may contain only some of the axes.
 
     Attributes
     ----------
     stamps_ns : (n,) int64 array
         Stamps in nanoseconds. The header stamps may repeat, go back or be 0.
     samples : (n, axes) float64 array
-        Angular rate in rad/s and specific force in m/s^2, in the order of `AXES`. NaN if a sensor
-        is absent (element 0 of its covariance in the message is -1), or if a value is not a number.
+        Angular rate in rad/s and specific force in m/s^2, in the order of `AXES`. A value is NaN
+        if it is missing, for example because the source contains only one of the sensors.
     record_ns : (n,) int64 array or None
         Times in nanoseconds at which the samples were recorded or received. They are used if the
-        header stamps are unusable. None if the source has no such times.
+        header stamps are unusable. None if these times are unknown.
     frame_id : str
-        ``header.frame_id`` of the samples, after `joined` of the last batch; '' if the source has
-        none.
+        ``header.frame_id`` of the samples, or another name of the IMU in the source; '' if unknown.
     cut : str
-        Reason for the gap between the previous batch and this batch; '' if there is no gap.
+        Reason for the gap between the previous batch and this batch; '' if no gap is known.
     filled : (axes, n) int32 array or None
         0 for measured values. For replaced values, the number of samples over which the signal was
         averaged before and after the replaced stretch (see `core.allan.replaced_stretches`). None
-        if all values are measured.
+        means that all values are measured.
 
     Raises
     ------
     AllanError
-        When the shapes of stamps, samples and record times do not fit together, or the frame_id is
-        longer than `MAX_NAME` characters.
+        When ``samples`` does not have n rows and at most six columns, when ``record_ns`` is not
+        (n,), or when ``frame_id`` is longer than `MAX_NAME` characters.
     """
 
     stamps_ns: NDArray[np.int64]

@@ -85,20 +85,20 @@ EXPECTED: dict[Any, str] = {
 type in this dict of which the default of the setting is an instance."""
 
 
-def expect(kind: Any, called: str = '', /, **values: object) -> None:
+def expect(kind: Any, type_name: str = '', /, **values: object) -> None:
     """Raise AllanError for the first keyword argument whose value is not of the type ``kind``.
 
     ``kind`` is a type or a tuple of types. True and False are valid only if ``kind`` is bool; they
-    are not accepted as numbers. ``called`` is the name of the expected type in the message. It may
-    be omitted for the types in `EXPECTED`.
+    are not accepted as numbers. ``type_name`` is the name of the expected type in the error
+    message. It may be omitted if ``kind`` is a key of `EXPECTED`.
     """
     for name, value in values.items():
         if not isinstance(value, kind) or (isinstance(value, bool) and kind is not bool):
             shown = one_line(repr(value))
-            raise AllanError(f'{name} is {shown:.60}: {called or EXPECTED[kind]} is expected')
+            raise AllanError(f'{name} is {shown:.60}: {type_name or EXPECTED[kind]} is expected')
 
 
-def choose(choices: Collection[str], **values: object) -> None:
+def check_choice(choices: Collection[str], **values: object) -> None:
     """Raise AllanError for the first keyword argument whose value is not one of the choices."""
     for name, value in values.items():
         if not isinstance(value, str) or value not in choices:
@@ -142,7 +142,7 @@ class CheckedSettings:
         for name, info in describe(self).items():
             value = getattr(self, name)
             if info.choices:
-                choose(info.choices, **{name: value})
+                check_choice(info.choices, **{name: value})
             if info.auto and value == 'auto':
                 object.__setattr__(self, name, AUTO)
                 continue

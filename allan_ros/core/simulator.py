@@ -70,16 +70,18 @@ def _process_options() -> Iterator[tuple[str, type, Any]]:
         yield f'{name}_accel', float, _accel(0.0, f'standard deviation {meaning}')
         for shape in process.parameters:
             parameter_name = shape.name.replace('_', ' ')
-            option, default = DEFAULT_SHAPE[shape.unit]
-            yield _option(name, shape), float, option(default, f'{parameter_name} {meaning}')
+            field_of_option, default = SHAPE_OPTIONS[shape.unit]
+            option_field = field_of_option(default, f'{parameter_name} {meaning}')
+            yield _option_name(name, shape), float, option_field
 
 
-def _option(name: str, number: Parameter) -> str:
-    return f'{name}_{number.name.removeprefix("correlation_")}'
+def _option_name(process_name: str, shape: Parameter) -> str:
+    return f'{process_name}_{shape.name.removeprefix("correlation_")}'
 
 
-DEFAULT_SHAPE = {'s': (_time, 300.0), 'Hz': (_frequency, 10.0)}
-"""Unit of a shape parameter -> function that returns its option, and default."""
+SHAPE_OPTIONS = {'s': (_time, 300.0), 'Hz': (_frequency, 10.0)}
+"""Unit of a shape parameter -> tuple of a function and a number. The function returns the dataclass
+field of the option that sets such a parameter, and the number is the default of this option."""
 
 AddedProcesses = make_dataclass(
     'AddedProcesses', _process_options(), bases=(CheckedSettings,), frozen=True
@@ -281,7 +283,7 @@ def _disturb_samples(
         samples += amplitudes('warmup') * np.exp(-times / faults.warmup_time)[:, None]
     for name, kind in ADDED.items():
         if np.any(amplitudes(name)):
-            process = kind(*(getattr(faults, _option(name, p)) for p in kind.parameters))
+            process = kind(*(getattr(faults, _option_name(name, p)) for p in kind.parameters))
             rng = np.random.default_rng([*seed.generate_state(4).tolist(), *name.encode()])
             for axis, sigma in enumerate(amplitudes(name).tolist()):
                 added = _in_samples(Model.of((sigma, process)), tau0)

@@ -24,7 +24,7 @@ from ..core.fit.least_squares import fit_curve
 from ..core.fit.result import TERMS, AxisFit, ModelLine, Region, TemperatureModel, model_line
 from ..core.imu import AXES, NANOSECONDS, SI_UNITS, sensor_of
 from ..core.noise import Model
-from ..core.settings import choose, expect
+from ..core.settings import check_choice, expect
 
 
 @dataclass(frozen=True)
@@ -162,7 +162,7 @@ class AxisResult:
 
         Raises AllanError for any other term.
         """
-        choose(TERMS, term=term)
+        check_choice(TERMS, term=term)
         unit = SI_UNITS[sensor_of(self.name)][term]
         return replace(self.fit.noise[term].shown, name=term, unit=unit, axis=self.name)
 
@@ -341,7 +341,7 @@ def fit(
     >>> round(axis.N.value, 6), axis.N.unit
     (0.001, 'm/s^2/sqrt(Hz)')
     """
-    choose(AXES, axis=axis)
+    check_choice(AXES, axis=axis)
     if record is not None:
         expect(Real, record=record)
     if not isinstance(curve, AxisCurve):

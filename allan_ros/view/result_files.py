@@ -17,7 +17,7 @@ from ..core.errors import AllanError, one_line
 from ..core.fields import Fields
 from ..core.findings import finding
 from ..core.imu import SENSORS
-from ..core.settings import choose
+from ..core.settings import check_choice
 from ..core.stream.signal import summarize_signal
 from ..export import TARGETS, make_export, target_of
 from ..readers.files import PathLock, read_json, to_json, write_together
@@ -168,7 +168,7 @@ def _filter_files(results: Results, targets: Sequence[str]) -> tuple[dict[str, s
 def check_plots(formats: Sequence[str]) -> None:
     """Raise AllanError for an unknown format of figures, or if matplotlib is needed but missing."""
     for form in formats:
-        choose(FIGURE_FORMATS, plots=form)
+        check_choice(FIGURE_FORMATS, plots=form)
     if formats:
         import_module('.plots', __package__)
 

@@ -11,7 +11,7 @@ import pytest
 
 import allan_ros as ar
 from allan_ros.core.allan.curve import AxisCurve
-from allan_ros.core.settings import choose, expect
+from allan_ros.core.settings import check_choice, expect
 from allan_ros.readers.files import PATH
 
 SOURCE = 'source is {}: results or a path is expected'
@@ -154,6 +154,6 @@ def test_averaging_factors_may_be_any_sequence(small_results):
 def test_kinds_and_choices():
     expect(PATH, 'a path', path=Path('x'))
     expect(PATH, 'a path', path='x')
-    choose(('', 'a'), name='')
+    check_choice(('', 'a'), name='')
     with pytest.raises(ar.AllanError, match=r'name is 3: choose one of a, b$'):
-        choose(('', 'a', 'b'), name=3)
+        check_choice(('', 'a', 'b'), name=3)

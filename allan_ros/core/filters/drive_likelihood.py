@@ -275,10 +275,11 @@ class DriveLikelihood:
         return best
 
     def covariances(self, groups: Groups, log_factors: Floats) -> tuple[list[Floats], Floats]:
-        """Return the scaled covariance of each group of noise, as a list, and their sum D.
+        """Return the scaled covariance of each group of noise, as a list, and the matrix D.
 
-        All arrays are (drives, 9, 9). The sum also contains the noise in no group, and the
-        covariance F. ``log_factors`` are the logarithms of s_i^2.
+        D is the sum of these covariances, of the covariances of the noise in no group, and of F.
+        All returned arrays are (drives, 9, 9). ``log_factors``, (groups,), are the logarithms of
+        s_i^2.
         """
         zero = np.zeros_like(self.own)
         scaled = [
@@ -299,9 +300,10 @@ class DriveLikelihood:
     def _evaluated(
         self, groups: Groups, causes: tuple[str, ...], prior_stds: Floats, theta: Floats
     ) -> DriveFit:
-        """Return the likelihood and its derivatives; ``theta`` are the logarithms of s_i^2.
+        """Return the likelihood and its derivatives for given logarithms of s_i^2.
 
-        ``prior_stds`` are the prior standard deviations of these logarithms.
+        ``theta``, (groups,), are these logarithms, and ``prior_stds``, (groups,), are their prior
+        standard deviations.
         """
         scaled, d_matrix = self.covariances(groups, theta)
         inverse = np.linalg.inv(d_matrix)
