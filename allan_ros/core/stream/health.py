@@ -50,8 +50,8 @@ SHORT_S = 60.0
 from 60 s is +-2 %."""
 
 LEAST_SPIKES, LEAST_SPIKE_SHARE = 3, 1e-6
-"""Isolated spikes are reported if their number is at least the first value, and their share of the
-used samples at least the second. In white noise, the share of spikes is below 1e-7."""
+"""Isolated spikes are reported if there are at least `LEAST_SPIKES`, and at least the fraction
+`LEAST_SPIKE_SHARE` of the number of used samples. In white noise, this fraction is below 1e-7."""
 
 LARGEST_N, LARGEST_REST_RATE = 3e-3, 0.2
 """Angle random walk in rad/s/sqrt(Hz) (10 deg/sqrt(h)) and mean rate at rest in rad/s (11 deg/s)

@@ -171,10 +171,11 @@ class MotionGate:
 
     @property
     def increases(self) -> dict[str, float]:
-        """Axis -> largest ratio of the increased noise at rest to the noise floor.
+        """Axis -> largest ratio of its noise at rest to the noise floor.
 
-        Only ratios above 1 are included. The result is empty if the noise of no axis increased, or
-        if the increased noise now counts as normal.
+        The ratios of all axes are computed when the noise of any axis has increased. Only ratios
+        above 1 are included. The ratios are reset when the increased noise counts as normal, or
+        when the noise before turns out not to be noise at rest.
         """
         return self._named(self._levels.largest_ratio)
 

@@ -74,19 +74,19 @@ OUTLIER_MADS = 6.0
 deviations (four standard deviations of white noise)."""
 
 HEAVY_SHARE, LEAST_HEAVY = 5e-3, 3
-"""Noise has heavy tails if at least the first share, and at least the second number, of the samples
-are outliers. The share is 5e-5 for white noise, and 7e-3 for a t distribution with five degrees of
-freedom."""
+"""Noise has heavy tails if at least `LEAST_HEAVY` samples, and at least the share `HEAVY_SHARE` of
+the samples, are outliers. The share of outliers is 5e-5 in white noise, and 7e-3 for a t
+distribution with five degrees of freedom."""
 
 EXAMINED = 16
 """After the noise floor is learned, only one in this number of windows is searched for outliers, if
 it is at rest. This saves time."""
 
 CLIPPED_SHARE, UNCLIPPED = 0.1, 0.25
-"""An axis begins to be clipped when at least the first share of its samples is clipped. Clipping
-ends when the share of samples at an extreme value is below the second fraction of the share that
-was clipped when the noise floor was learned. With a single limit, a share near this limit would
-change the noise level again and again."""
+"""An axis begins to be clipped when at least the share `CLIPPED_SHARE` of its samples is clipped.
+Clipping ends when the share of samples at an extreme value is less than `UNCLIPPED` times the share
+that was clipped when the noise floor was learned. With a single limit, a share near this limit
+would change the noise level again and again."""
 
 INCREASE_RATIO = 1.5
 """Ratio of the standard deviation of an axis to its noise floor above which the noise counts as

@@ -23,7 +23,8 @@ from .noise_floor import NoiseFloor
 from .sensors import MIN_CLIPPED, Clipping
 
 Change = Literal['noise_decreased', 'noise_increased']
-"""How the noise of a level differs from the noise of the previous level."""
+"""How the noise of a level differs from the noise of the previous level. If an axis begins to be
+clipped, its noise counts as decreased."""
 
 ExcludedAs = Literal['moving', 'stuck', 'noise_decreased', 'noise_increased']
 """Field of `Counts` that counts the samples of a noise level that is excluded from the result."""
@@ -126,9 +127,11 @@ class NoiseLevels:
 
     ``start`` returns a new level without samples. ``is_tried`` tells whether the present level is
     on trial, so that the Allan sums of the other level are the result. ``change`` tells how the
-    noise of the present level differs from the noise of the other level. ``largest_ratio`` and
-    ``smallest_ratio``, (axes,), are the extreme ratios of the noise at rest to the noise floor; 1
-    for an axis whose noise has not changed.
+    noise changed when the latest trial began; it is 'noise_increased' before the first trial.
+
+    ``largest_ratio``, (axes,), are the largest ratios of the noise to the noise floor in the calls
+    of `add_increase`, but at least 1. ``smallest_ratio``, (axes,), are the smallest ratios in the
+    calls of `add_decrease`, but at most 1. `accept` and `replace_present` reset both to 1.
     """
 
     def __init__(self, start: Callable[[], NoiseLevel]) -> None:

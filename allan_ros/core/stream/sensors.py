@@ -27,19 +27,20 @@ indicate that a driver fills in zeros, or repeats samples. Fewer repeats, and re
 coincide, are compared with chance (`CHANCE_SHARE`)."""
 
 LEAST_REPEATS, CHANCE_SHARE = 5, 0.15
-"""A driver repeats samples if the first samples contain at least this number of separate sequences
-of repeats, and if the repeats of the axes coincide (`TOGETHER_LOG_RATIO`), or the share of samples
-that are equal by chance is at most the second fraction of the share of repeats."""
+"""A driver is assumed to repeat samples only if the first samples contain at least `LEAST_REPEATS`
+separate sequences of repeats. In addition, the repeats of the axes must coincide
+(`TOGETHER_LOG_RATIO`), or the share of samples that are equal by chance must be at most
+`CHANCE_SHARE` times the share of repeats."""
 
 REGULAR_REPEATS, LARGEST_RANDOM_SHARE = 0.03, 0.6
-"""Limits of the share of repeats among all samples. Below the first limit, the repeats are regarded
-as random, because there are too few to decide. Above the second limit, the repeats are attributed
-to a slower sensor."""
+"""If the share of repeats among all samples is below `REGULAR_REPEATS`, the repeats are regarded as
+random, because there are too few to decide. If the share is above `LARGEST_RANDOM_SHARE`, the
+repeats are attributed to a slower sensor."""
 
 REGULAR_VARIANCE, REGULAR_VARIANCE_RATIO = 0.5, 0.01
 """Repeats are regular if the variance of their cumulative number about a straight line is less than
-the first value, or less than the second fraction of the variance of a binomial count. Less than
-0.1 % of random repeats have a variance below this fraction."""
+`REGULAR_VARIANCE`, or less than `REGULAR_VARIANCE_RATIO` times the variance of a binomial count.
+Random repeats satisfy the second condition with a probability below 0.1 %."""
 
 TOGETHER_LOG_RATIO = 2.0 / 3.0
 """Axes repeat (or are zero) together if log(p) / sum(log(p_i)) is smaller than this value. Here, p
@@ -178,15 +179,15 @@ class Clipping:
 
 ALTERNATE_SIGMAS, ALTERNATE_AXES = 8.0, 2
 """The samples alternate between two IMUs if the means of the even and of the odd samples differ by
-more than the first number of standard deviations of the difference, and by more than
-`SEPARATION_STEPS` steps of the resolution, on at least the second number of axes. A single IMU may
+more than `ALTERNATE_SIGMAS` standard deviations of the difference, and by more than
+`SEPARATION_STEPS` steps of the resolution, on at least `ALTERNATE_AXES` axes. A single IMU may
 alternate by one step, because some sensors carry the remainder of a rounded value over to the next
 value."""
 
 SWITCH_SHARE, SEPARATION, SEPARATION_STEPS = 0.25, 8.0, 1.5
 """The samples of an axis come from two IMUs if a wide gap divides the values into a low and a high
-group. The gap must be wider than the second number of standard deviations of each group, and wider
-than the third number of steps of the resolution. More than the first share of the differences
+group. The gap must be wider than `SEPARATION` standard deviations of each group, and wider than
+`SEPARATION_STEPS` steps of the resolution. More than the share `SWITCH_SHARE` of the differences
 between successive samples must cross the gap."""
 
 

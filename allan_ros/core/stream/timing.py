@@ -72,9 +72,9 @@ step by at most 15 %, and if at least two steps are longer than `LATE` median st
 1 - `POLLED_SHARE` of the steps may be neither even nor late."""
 
 UNEVEN = 2.0
-"""For each run of evenly spaced stamps, the mean step over the run and the pause before the run is
-computed. If these mean steps differ by more than this factor, the samples are not late. Late
-samples have the same mean step in each burst."""
+"""The mean step is computed over each pause together with the evenly spaced stamps up to the next
+pause. If the largest mean step exceeds the smallest by more than this factor, the samples are not
+late. Late samples have nearly the same mean step in each burst."""
 
 DECLARED_RANGE = 0.25
 """The declared rate is used for bursty stamps if the mean step differs from the declared period by
@@ -165,9 +165,9 @@ def learn_clock(stamps: Stamps, polled: bool = False, declared: float = 0.0) -> 
     if not has_time(stamps):
         return None
     stamps = stamps[stamps >= np.maximum.accumulate(stamps)]
-    step = np.diff(stamps).astype(float)
-    clock = _clock_of(step, stamps, polled, declared)
-    base = 0.0 if polled else _common_step(step)
+    steps = np.diff(stamps).astype(float)
+    clock = _clock_of(steps, stamps, polled, declared)
+    base = 0.0 if polled else _common_step(steps)
     if not base or abs(base / clock.period_ns - 1.0) < RATE_CHANGE:
         return clock
     if abs(declared * base * 1e-9 - 1.0) < RATE_CHANGE:
@@ -177,76 +177,76 @@ def learn_clock(stamps: Stamps, polled: bool = False, declared: float = 0.0) -> 
 
 def has_time(stamps: Stamps) -> bool:
     """Return whether the first stamps of a stream, (n,), advance often enough to show a period."""
-    step = np.diff(stamps[stamps >= np.maximum.accumulate(stamps)])
-    return bool(len(step) > 0 and np.count_nonzero(step) >= min(FEWEST_STEPS, len(step)))
+    steps = np.diff(stamps[stamps >= np.maximum.accumulate(stamps)])
+    return bool(len(steps) > 0 and np.count_nonzero(steps) >= min(FEWEST_STEPS, len(steps)))
 
 
-def _period_of_runs(step: Floats) -> float:
+def _period_of_runs(steps: Floats) -> float:
     """Return the period of evenly stamped runs with pauses between them.
 
     The result is 0 if there are no such runs, or if the samples are late. If a logger records in
     runs with gaps between them, the steps in each run are the period. If samples arrive late
-    together, the steps in a burst are not the period. Such bursts are short, and the mean step over
-    a burst and the pause before it is the period.
+    together, the steps in a burst are not the period. Such bursts are short, and the period is the
+    mean step over a pause together with the burst after the pause.
     """
-    median = float(np.median(step))
-    is_near_median = np.abs(step - median) <= EVEN * median
-    pauses = np.flatnonzero(step > LATE * median)
+    median = float(np.median(steps))
+    is_near_median = np.abs(steps - median) <= EVEN * median
+    pauses = np.flatnonzero(steps > LATE * median)
     if not median or len(pauses) < 2 or is_near_median.mean() < EVEN_SHARE:
         return 0.0
-    if np.count_nonzero(is_near_median) + len(pauses) < POLLED_SHARE * len(step):
+    if np.count_nonzero(is_near_median) + len(pauses) < POLLED_SHARE * len(steps):
         return 0.0
-    period = float(step[is_near_median].mean())
-    mean_steps = np.add.reduceat(step, pauses)[:-1] / np.diff(pauses)
+    period = float(steps[is_near_median].mean())
+    mean_steps = np.add.reduceat(steps, pauses)[:-1] / np.diff(pauses)
     has_long_runs = float(np.median(np.diff(pauses))) * period >= BURST_PAUSE_S * 1e9
     is_uneven = len(mean_steps) > 1 and mean_steps.max() > UNEVEN * mean_steps.min()
     return period if has_long_runs or is_uneven else 0.0
 
 
-def _common_step(step: Floats) -> float:
+def _common_step(steps: Floats) -> float:
     """Return the mean of the shortest steps if samples are missing regularly, else 0.
 
-    Samples are missing regularly if almost all steps in ``step``, (n,), are multiples of the
-    shortest step, and many steps are longer.
+    Samples are missing regularly if almost all ``steps``, (n,), are multiples of the shortest
+    step, and many steps are longer.
     """
-    shortest = float(np.sort(step)[int(MANY * len(step))])
-    near_shortest = step[np.abs(step - shortest) <= EXACT * shortest]
+    shortest = float(np.sort(steps)[int(MANY * len(steps))])
+    near_shortest = steps[np.abs(steps - shortest) <= EXACT * shortest]
     base = float(near_shortest.mean())
-    multiple = np.rint(step / base) if base else step
-    is_multiple = (np.abs(step - multiple * base) <= EXACT * base) & (multiple > 0)
+    multiple = np.rint(steps / base) if base else steps
+    is_multiple = (np.abs(steps - multiple * base) <= EXACT * base) & (multiple > 0)
     has_many_longer = min(np.mean(multiple == 1), np.mean(multiple > 1)) >= MANY if base else False
     return base if has_many_longer and is_multiple.mean() >= POLLED_SHARE else 0.0
 
 
-def _clock_of(step: Floats, stamps: Stamps, polled: bool, declared: float) -> Clock:
-    """Estimate the sample period from ``stamps``, (n,), and ``step`` between them, (n - 1,), in ns.
+def _clock_of(steps: Floats, stamps: Stamps, polled: bool, declared: float) -> Clock:
+    """Estimate the period from ``stamps``, (n,), and the ``steps`` between them, (n - 1,), in ns.
 
     The ``declared`` rate in Hz, or 0 if unknown, helps to decide whether samples are late or lost,
     and is used for bursty stamps.
     """
-    size = max(1, min(CLOCK_BLOCK, len(step) // 4))
+    size = max(1, min(CLOCK_BLOCK, len(steps) // 4))
     # one long gap does not change the median of the means over groups of steps
-    mean = float(np.median(step[: len(step) // size * size].reshape(-1, size).mean(axis=1)))
-    mean = mean or float(step.mean())
-    median = float(np.median(step))
-    near_median = step[np.abs(step - median) <= 0.5 * median]
-    if polled and len(near_median) < POLLED_SHARE * len(step):
-        number_near_mean = np.count_nonzero((step > 0.4 * mean) & (step < 2.2 * mean))
-        if number_near_mean >= POLLED_SHARE * len(step):
+    mean = float(np.median(steps[: len(steps) // size * size].reshape(-1, size).mean(axis=1)))
+    mean = mean or float(steps.mean())
+    median = float(np.median(steps))
+    near_median = steps[np.abs(steps - median) <= 0.5 * median]
+    if polled and len(near_median) < POLLED_SHARE * len(steps):
+        number_near_mean = np.count_nonzero((steps > 0.4 * mean) & (steps < 2.2 * mean))
+        if number_near_mean >= POLLED_SHARE * len(steps):
             return Clock(mean, mean, bursty=False)
-    if median > 0.0 and len(near_median) >= REGULAR_SHARE * len(step):
+    if median > 0.0 and len(near_median) >= REGULAR_SHARE * len(steps):
         period = float(near_median.mean())
         if period >= REGULAR_SHARE * mean:
             # jitter makes steps longer and shorter, lost samples only longer
-            long_steps = np.count_nonzero(step > LATE * period)
-            short_steps = np.count_nonzero(step < period / 2)
-            if short_steps > JITTER_SHARE * len(step):
+            long_steps = np.count_nonzero(steps > LATE * period)
+            short_steps = np.count_nonzero(steps < period / 2)
+            if short_steps > JITTER_SHARE * len(steps):
                 period = rayleigh_period(stamps, period, PERIOD_RANGE)
                 return Clock(period, median, bursty=False, jitter=True)
             return Clock(mean if 2 * short_steps >= long_steps else period, median, bursty=False)
     expected_step = 1e9 / declared if declared else mean
     is_near_mean = abs(mean / expected_step - 1.0) < DECLARED_RANGE
-    if (run_period := _period_of_runs(step)) and not (declared and is_near_mean):
+    if (run_period := _period_of_runs(steps)) and not (declared and is_near_mean):
         return Clock(run_period, run_period, bursty=False)
     return Clock(expected_step if is_near_mean else mean, median, bursty=True)
 
@@ -260,12 +260,12 @@ def rayleigh_period(stamps: Stamps, period: float, relative_range: float) -> flo
     Statistics, 2000, section 6.3). Lost samples do not move the maximum. A step of more than
     `PHASE_GAP` periods counts as one period.
     """
-    step = np.diff(stamps) / period
-    times = np.cumsum(np.where(step > PHASE_GAP, 1.0, step))
+    stamp_steps = np.diff(stamps) / period
+    times = np.cumsum(np.where(stamp_steps > PHASE_GAP, 1.0, stamp_steps))
     times -= times[len(times) // 2]
     resolution = PHASE_STEP / max(float(times[-1] - times[0]), 1.0)
-    steps = int(relative_range / resolution)
-    relative_rates = 1.0 + resolution * np.arange(-steps, steps + 1)
+    grid_steps = int(relative_range / resolution)
+    relative_rates = 1.0 + resolution * np.arange(-grid_steps, grid_steps + 1)
     statistic = np.array([abs(np.exp(2j * np.pi * r * times).sum()) for r in relative_rates])
     return float(period / relative_rates[np.argmax(statistic)])
 
@@ -400,40 +400,40 @@ class SampleClock:
         """
         begin, stamps = self._processed, self._samples.stamps_ns
         if begin:
-            step = stamps[begin : begin + n] - stamps[begin - 1 : begin + n - 1]
+            stamp_steps = stamps[begin : begin + n] - stamps[begin - 1 : begin + n - 1]
         else:
-            step = np.diff(stamps[:n], prepend=stamps[0] - round(clock.period_ns))
-        steps = np.ones(n, np.int64)
-        is_even = step.min() >= 0 and step.max() <= clock.pause_ns
+            stamp_steps = np.diff(stamps[:n], prepend=stamps[0] - round(clock.period_ns))
+        index_steps = np.ones(n, np.int64)
+        is_even = stamp_steps.min() >= 0 and stamp_steps.max() <= clock.pause_ns
         if not is_even:
-            lost, is_split = self._find_gaps(step, clock)
-            steps = np.where(is_split, 0, 1 + lost)
-        number = n if clock.bursty else self._count_same_rate(step, steps, clock)
+            lost, is_split = self._find_gaps(stamp_steps, clock)
+            index_steps = np.where(is_split, 0, 1 + lost)
+        number = n if clock.bursty else self._count_same_rate(stamp_steps, index_steps, clock)
         self.rate_changed = number < n
-        steps = steps[:number]
+        index_steps = index_steps[:number]
         if not is_even:
             lost, is_split = lost[:number], is_split[:number]
             self._counts.lost += int(lost.sum())
             self._counts.interpolated += int(lost[~is_split].sum())
             self._counts.splits += Counter(
-                gap=int(np.count_nonzero(is_split & (step[:number] >= 0)))
+                gap=int(np.count_nonzero(is_split & (stamp_steps[:number] >= 0)))
             )
         if number:
-            self._track(stamps[begin : begin + number], steps, clock)
-            self._steps = np.concatenate([self._steps, steps])[-self._reach :]
+            self._track(stamps[begin : begin + number], index_steps, clock)
+            self._steps = np.concatenate([self._steps, index_steps])[-self._reach :]
             self._processed += number
-        return steps
+        return index_steps
 
-    def _find_gaps(self, step: Stamps, clock: Clock) -> tuple[Ints, Flags]:
+    def _find_gaps(self, stamp_steps: Stamps, clock: Clock) -> tuple[Ints, Flags]:
         """Return how many samples were lost before each of the next n samples, and where to split.
 
-        ``step``, (n,), are the steps of the stamps in ns. Both results have this shape. The data
+        ``stamp_steps``, (n,), are the steps of the stamps in ns. Both results are (n,). The data
         are split where the stamps decrease, at gaps of more than ``max_bridge`` samples, and where
         more than `BRIDGED_SHARE` of a block would be interpolated. Other gaps are interpolated.
         """
-        lost, is_split = np.zeros(len(step), np.int64), step < 0
+        lost, is_split = np.zeros(len(stamp_steps), np.int64), stamp_steps < 0
         interpolated: Counter[int] = Counter()  # number of interpolated samples of each clock block
-        for j in np.flatnonzero(step > clock.pause_ns).tolist():
+        for j in np.flatnonzero(stamp_steps > clock.pause_ns).tolist():
             lost[j] = number_lost = self._count_lost(np.where(is_split, 0, 1 + lost)[:j], clock)
             number = interpolated[j // CLOCK_BLOCK] + number_lost
             is_long = number_lost > self._settings.max_bridge
@@ -442,51 +442,53 @@ class SampleClock:
                 interpolated[j // CLOCK_BLOCK] = number
         return lost, is_split
 
-    def _count_same_rate(self, step: Stamps, steps: Ints, clock: Clock) -> int:
+    def _count_same_rate(self, stamp_steps: Stamps, index_steps: Ints, clock: Clock) -> int:
         """Return how many samples precede a change of the rate; all n if the rate does not change.
 
-        ``step``, (n,), are the steps of the stamps in ns; ``steps``, (n,), the steps of the index.
+        ``stamp_steps``, (n,), are the steps of the stamps in ns. ``index_steps``, (n,), are the
+        steps of the sample index (see `_process`).
         """
         # blocks with samples from which the period was learned are not tested; otherwise, learning
         # could repeat forever
         learned_blocks = -(-self._learned // CLOCK_BLOCK)
         first_tested = max(0, learned_blocks - self._blocks) * CLOCK_BLOCK
-        begins = np.arange(first_tested, len(step) - CLOCK_BLOCK // 4 + 1, CLOCK_BLOCK)
+        begins = np.arange(first_tested, len(stamp_steps) - CLOCK_BLOCK // 4 + 1, CLOCK_BLOCK)
         if not len(begins):
-            return len(step)
-        number, end = len(step), int(begins[-1]) + CLOCK_BLOCK
-        step, steps = step[:end], steps[:end]
-        elapsed = np.add.reduceat(np.where(steps > 0, step, 0), begins)
-        period = elapsed / np.maximum(np.add.reduceat(steps, begins), 1)
+            return len(stamp_steps)
+        number, end = len(stamp_steps), int(begins[-1]) + CLOCK_BLOCK
+        stamp_steps, index_steps = stamp_steps[:end], index_steps[:end]
+        elapsed = np.add.reduceat(np.where(index_steps > 0, stamp_steps, 0), begins)
+        period = elapsed / np.maximum(np.add.reduceat(index_steps, begins), 1)
         differs = np.abs(period / clock.period_ns - 1.0) > RATE_CHANGE
         # with jitter, a change needs two blocks: a single block may have several undetected losses
         differed_before = np.concatenate([[self._other_period], differs[:-1]])
         changed = differs & (differed_before | (not clock.jitter))
         long_step = RATE_CHANGE_STEP * clock.step_ns
-        for i in np.flatnonzero(np.maximum.reduceat(step, begins) > long_step):
-            block_steps = step[begins[i] : begins[i] + CLOCK_BLOCK]
+        for i in np.flatnonzero(np.maximum.reduceat(stamp_steps, begins) > long_step):
+            block_steps = stamp_steps[begins[i] : begins[i] + CLOCK_BLOCK]
             changed[i] |= float(np.median(block_steps)) > long_step
         block = int(np.argmax(changed)) if changed.any() else len(begins) - 1
         self._other_period = bool(differs[block])
         if not changed[block]:
             return number
-        block_steps = step[begins[block] : begins[block] + CLOCK_BLOCK]
+        block_steps = stamp_steps[begins[block] : begins[block] + CLOCK_BLOCK]
         is_unusual = block_steps > long_step
         if not self.is_interleaved:  # with samples of two IMUs, some steps are always short
             is_unusual |= RATE_CHANGE_STEP * block_steps < clock.step_ns
         return int(begins[block]) + int(np.argmax(is_unusual))
 
-    def _count_lost(self, steps: Ints, clock: Clock) -> int:
+    def _count_lost(self, index_steps: Ints, clock: Clock) -> int:
         """Return how many samples were lost in a pause, from the delays before and after the pause.
 
-        ``steps``, (j,), are the index steps of the next j samples; the pause follows them.
+        ``index_steps``, (j,), are the steps of the sample index (see `_process`) at the j samples
+        that are not processed yet and precede the pause.
         """
-        begin = self._processed + len(steps)  # the first sample after the pause
+        begin = self._processed + len(index_steps)  # the first sample after the pause
         if begin == 0:
             return 0
-        steps = np.concatenate([self._steps, steps])[-self._reach :]
+        index_steps = np.concatenate([self._steps, index_steps])[-self._reach :]
         # index of each sample since the data were last split
-        index = np.cumsum(steps[int(np.argmax(np.cumsum(steps == 0))) :])
+        index = np.cumsum(index_steps[int(np.argmax(np.cumsum(index_steps == 0))) :])
         stamps = self._samples.stamps_ns
         stamps_after = stamps[begin : begin + self._reach]
         backward_steps = np.flatnonzero(np.diff(stamps_after) < 0)
@@ -500,24 +502,24 @@ class SampleClock:
         pause = (stamps[begin] - origin) / period - 1.0
         return round(increase) if increase > max(0.5 * pause, clock.smallest_loss) else 0
 
-    def _blocks_of(self, begin: int, steps: Ints) -> list[ImuBatch]:
+    def _blocks_of(self, begin: int, index_steps: Ints) -> list[ImuBatch]:
         """Return the samples from buffer position ``begin`` on as blocks, with gaps interpolated.
 
-        ``steps``, (n,), are the index steps of the samples.
+        ``index_steps``, (n,), are the steps of the sample index (see `_process`).
         """
-        n = len(steps)
+        n = len(index_steps)
         samples = self._samples.part(slice(begin, begin + n))
         groups: list[list[ImuBatch]] = []  # for each block, the parts that are joined to this block
-        edges = sorted({0, *np.flatnonzero(steps != 1).tolist(), n})
+        edges = sorted({0, *np.flatnonzero(index_steps != 1).tolist(), n})
         for first, last in itertools.pairwise(edges):
             cut = ''
-            if steps[first] == 0:
+            if index_steps[first] == 0:
                 stamp_before, stamp = self._samples.stamps_ns[begin + first - 1 : begin + first + 1]
                 cut = 'clock jump' if stamp < stamp_before else 'gap'
             if cut or not groups:
                 groups.append([])
-            if steps[first] > 1:
-                groups[-1].append(self._interpolated(begin + first, int(steps[first])))
+            if index_steps[first] > 1:
+                groups[-1].append(self._interpolated(begin + first, int(index_steps[first])))
             groups[-1].append(samples.part(slice(first, last), cut))
         return [joined(parts) for parts in groups]
 
@@ -533,16 +535,17 @@ class SampleClock:
         rows = row_before + fraction * (row_after - row_before)
         return ImuBatch.of_rows(stamps, rows, filled=np.ones(rows.shape, np.int32))
 
-    def _track(self, stamps: Stamps, steps: Ints, clock: Clock) -> None:
-        """Update the period after each `TRACK_BLOCKS` blocks in which the data were not split.
+    def _track(self, stamps: Stamps, index_steps: Ints, clock: Clock) -> None:
+        """Every `TRACK_BLOCKS` blocks, update the period if these blocks contain no split.
 
-        A large change of the period of bursty stamps is a change of the rate.
+        If the period of bursty stamps changed by more than `RATE_CHANGE_BURSTY`, ``rate_changed``
+        is set. After a change of the rate, the period is not updated.
         """
         if self._blocks % TRACK_BLOCKS == 0:
-            self._tracked, self._tracked_steps = [], -int(steps[0])
+            self._tracked, self._tracked_steps = [], -int(index_steps[0])
         self._blocks += -(-len(stamps) // CLOCK_BLOCK)
-        self._tracked_steps += int(steps.sum())
-        if self._tracked is None or not steps.all():
+        self._tracked_steps += int(index_steps.sum())
+        if self._tracked is None or not index_steps.all():
             self._tracked = None
             return
         self._tracked.append(stamps.copy() if clock.jitter else stamps[[0, -1]])

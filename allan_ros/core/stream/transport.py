@@ -44,7 +44,8 @@ PRESENT_S = 3.0
 past event afterwards."""
 
 STEP_S = 0.2
-"""Smallest step in s of the clock of the stamps that is reported."""
+"""A forward step of the clock that makes the stamps is reported only if it is larger than this time
+in s."""
 
 SILENCE_S = 1.0
 """Shortest time in s without messages that is reported as an interruption."""
@@ -85,7 +86,7 @@ class TransportStatistics:
     malformed: int = 0  # received messages that are not Imu messages
     interruptions: int = 0  # pauses of at least `SILENCE_S` in which no message was sent
     silent_s: float = 0.0  # total duration of the interruptions
-    leapt_s: float = 0.0  # sum of the steps by which the clock of the stamps was set forward
+    leapt_s: float = 0.0  # sum of the forward steps, above `STEP_S`, of the clock of the stamps
 
     @property
     def lost(self) -> int:
@@ -94,11 +95,14 @@ class TransportStatistics:
 
 
 class Arrivals:
-    """Counts interruptions, and forward steps of the clock that makes the stamps.
+    """Finds interruptions, and forward steps of the clock that makes the stamps.
+
+    In ``statistics``, interruptions are counted, and their durations and the forward steps of the
+    clock are added up.
 
     The stamp of a message minus its time of reception is the offset of the clock minus the delay of
-    the message. The maximum of this difference over a few seconds changes by more than `STEP_S` if
-    the clock is set, and rarely otherwise. ``statistics`` is updated.
+    the message. The clock counts as set forward if, after a gap in the stamps of a live input, this
+    difference exceeds its largest value in the `ENVELOPE_S` before the gap by more than `STEP_S`.
     """
 
     def __init__(self, statistics: TransportStatistics) -> None:
@@ -155,11 +159,11 @@ class Arrivals:
         self._latest = largest_stamp, last_received
 
     def _judge(self, stamp: float, received_s: float, lost: int) -> None:
-        """Count an interruption and a forward step of the clock, if a gap in the stamps shows them.
+        """Update the statistics if a gap shows an interruption or a forward step of the clock.
 
         ``stamp`` and ``received_s`` are the stamp and the time of reception in s of the message
         after the gap. ``lost`` is the number of messages that were lost since the previous call of
-        `update`.
+        `update`. Nothing is updated if the input is not live (`LIVE_PACE`).
         """
         assert self._latest is not None
         silent_s = received_s - self._latest[1]
@@ -233,7 +237,9 @@ class TransportMonitor:
         self._history: deque[tuple[float, Counter[str]]] = deque()
         self._excused = 0  # number of observations for which a cause still explains missing samples
         self._unexplained = 0  # number of missing samples without a known cause
-        self._absent = 0  # number of missing samples without a known cause that are reported
+
+        # number of unexplained missing samples, confirmed by two successive observations
+        self._absent = 0
 
     def set_received(self, time_s: float, messages: int) -> None:
         """Store the number of messages since the start, and the time when it last changed."""
@@ -300,12 +306,14 @@ class TransportMonitor:
         counts.update(interrupted=transport.interruptions)
         counts.update(silent_s=transport.silent_s, stamps_leapt=transport.leapt_s)  # type: ignore
         if c.received < self._samples:
-            # in a new pass, the counts of the stream start at 0, but the transport counts continue
+            # after a reset of the sums, the counts of the stream start at 0, but the transport
+            # counts continue
             self._unexplained = self._absent = 0
             self._history = deque([(time_s, counts.copy())])
         self._samples = c.received
         previous = self._history[-1][1] if self._history else Counter()
-        # counts may decrease, because only the counts of a result contain the buffered samples
+        # A count may decrease: the health from `ImuStream.result` includes buffered samples, but a
+        # later health from `ImuStream.present_health` may not include them.
         counts.update({id: max(count, previous[id]) for id, count in events(health).items()})
         counts.update(missing=c.lost, dropped=c.not_finite + c.backward)
         counts.update(spikes=c.spikes, used=c.used)

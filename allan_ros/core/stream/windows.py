@@ -109,12 +109,12 @@ def von_neumann_ratio(parts: Iterable[Floats]) -> Floats:
 class WindowClass(NamedTuple):
     """Classification of k windows; each field is an array of flags, (k,)."""
 
-    moving: Flags  # the window is not at rest: in motion, stuck, decreased, or foreign
+    moving: Flags  # a statistic exceeds its limit, or the window is ``decreased`` or ``foreign``
     quiet: Flags  # the window is at rest, and its noise is below the limits at which a motion ends
     stuck: Flags  # an axis with much smaller noise repeats one value
     decreased: Flags  # the noise of an axis is much smaller than the noise floor
     foreign: Flags  # the samples are not measurements in the units of the noise floor
-    rotating: Flags  # only the mean angular rate differs from a window at rest
+    rotating: Flags  # the window differs from a quiet window only in its mean angular rate
 
 
 class WindowPart(NamedTuple):
@@ -190,7 +190,11 @@ class RecentWindows:
 
     @property
     def can_be_larger_noise(self) -> bool:
-        """Whether the noise may exceed the floor: no window is at rest, decreased or foreign."""
+        """Whether no window is at rest, and larger noise can be the reason.
+
+        Larger noise cannot be the reason if any window is ``decreased`` or ``foreign``
+        (`WindowClass`).
+        """
         found = self.found
         return not (self.still.any() or (found.decreased | found.foreign).any())
 
