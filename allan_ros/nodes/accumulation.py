@@ -97,7 +97,7 @@ class SumsOutput:
 
 
 class ImuWatch(NodePart):
-    """Accumulates the Allan sums of one IMU; after a restart, continues the sums in its checkpoint.
+    """Accumulates the Allan sums of one IMU, and continues the sums in its checkpoint if possible.
 
     ``output`` publishes the sums periodically and for each new subscriber. It also publishes them
     when a service saves or resets them, when many of their samples are replaced, when the first
@@ -260,9 +260,9 @@ class ImuWatch(NodePart):
     def _health_and_findings(self) -> tuple[StreamHealth, tuple[Finding, ...]]:
         """Return the health and the findings of the stream.
 
-        The computation of the sums takes tens of milliseconds. While messages arrive, the sums are
-        therefore computed here only after an event (`_events`). If more than `REPLACED_SHARE` of
-        the published samples are missing in the new sums, the new sums are published at once.
+        The computation of the sums can take tens of milliseconds. While messages arrive, the sums
+        are therefore computed here only after an event (`_events`). If more than `REPLACED_SHARE`
+        of the published samples are missing in the new sums, the new sums are published at once.
         """
         has_new_messages = self._input.received != self._received
         self._received = self._input.received
@@ -282,8 +282,8 @@ class ImuWatch(NodePart):
         """Start new sums; ``covered`` are (first, last) stamps in ns of data in the checkpoint.
 
         With simulated time, a recording may be played twice. Samples from a time that the
-        checkpoint covers are therefore excluded. With real time, stamps that go back mean that the
-        clock was set; this only splits the data.
+        checkpoint covers are therefore excluded. With real time, ``covered`` is
+        not used, because stamps that go back mean that the clock was set.
         """
         is_simulated = bool(self._node.get_parameter('use_sim_time').value)
         self._stream = ImuStream(

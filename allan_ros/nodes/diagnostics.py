@@ -234,12 +234,12 @@ class AxisView:
     """Content of the status of one axis.
 
     ``sums`` are the Allan sums that contain the axis, or None before the first static data.
-    ``result`` and ``fit_age_s`` are None without a noise model. ``problems`` are findings about
-    faults of the input, a failed fit or an invalidated model. ``comparisons`` are checks against
-    the datasheet and earlier results. ``margin`` is the fraction by which a coefficient may exceed
-    its limit, or the noise level may change, without a warning. ``step`` is the change of the noise
-    level in the recent window, or None without a change. ``noted`` are findings of the fit that do
-    not change the level of the status.
+    ``result`` and ``fit_age_s`` are None without a noise model of the axis. ``problems`` are
+    findings about faults of the input, a failed fit or an invalidated model. ``comparisons`` are
+    checks against the datasheet and earlier results. ``margin`` is the fraction by which a
+    coefficient may exceed its limit, or the noise level may change, without a warning. ``step`` is
+    the change of the noise level in the recent window, or None without a change. ``noted`` are
+    findings of the fit that do not change the level of the status.
     """
 
     axis: str
@@ -291,7 +291,8 @@ def _term_pairs(axis: str, term: str, coefficient: Estimate) -> list[tuple[str, 
     """Return the (key, value) pairs of a term for the status of an axis.
 
     The pairs are the value in SI and in datasheet units, the ends of the 95 % interval in datasheet
-    units (only the upper limit if the term is not resolved), and the status of the term.
+    units, and the status of the term. Unknown and infinite ends are omitted. A term that is not
+    resolved has only an upper limit.
     """
     si_unit, datasheet_unit = shown_unit(axis, term, 'SI'), shown_unit(axis, term, 'deg/h')
     pairs: list[tuple[str, object]] = [
@@ -402,9 +403,10 @@ def motion_status(
 ) -> DiagnosticStatus:
     """Return the status of the errors in motion of one IMU.
 
-    ``drives`` are the latest drives. ``results`` contain the factors in motion, and are None
-    without a noise model. A factor in motion is the error in motion divided by its prediction from
-    the noise at rest. If the 95 % interval of a factor lies above ``limit``, there is a warning.
+    ``drives`` are the latest drives. ``results`` are None without a noise model; they contain the
+    factors in motion if these are known. A factor in motion is the error in motion divided by its
+    prediction from the noise at rest. If the 95 % interval of a factor lies above ``limit``, there
+    is a warning.
     """
     unused = sum(drives.unused.values())
     pairs: list[tuple[str, object]] = [('drives', len(drives.errors)), ('drives not used', unused)]

@@ -77,10 +77,11 @@ class ImuEstimate(NodePart):
 
     If more than `REPLACED_SHARE` of the samples are removed from the Allan sums, an existing model
     is invalidated: a noise model without axes is published, the statuses show a warning instead of
-    the coefficients, and the sums are fitted again. ``listeners`` are called with every published
-    noise model, and again with the present bias at rest when new sums arrive. ``worker`` runs the
-    fits, and ``label`` is the label of the IMU. Raises AllanError if the file in the parameter
-    ``estimator.sensor`` or ``estimator.baseline`` cannot be read.
+    the coefficients, and the sums are fitted again as soon as there are any. ``listeners`` are
+    called with every published noise model, and again with the present bias at rest when new sums
+    arrive. ``worker`` runs the fits, and ``label`` is the label of the IMU. Raises AllanError if
+    the file in the parameter ``estimator.sensor`` or ``estimator.baseline`` cannot be read or is
+    invalid.
     """
 
     def __init__(

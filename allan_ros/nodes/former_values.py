@@ -24,8 +24,8 @@ class Former:
     """The value that a parameter had before it was set, and the values that were sent since then.
 
     ``found`` is the former value. ``sent`` contains the sent values that the parameter may have
-    now: one value, or two values if the node has not answered yet whether it accepts the second
-    one. ``sent`` is empty if no value was sent.
+    now: one value, or two values while the node has not accepted the second one. ``sent`` is empty
+    if no value was sent.
     """
 
     found: Numbers
@@ -61,8 +61,8 @@ class FormerValues:
     def open(self) -> Mapping[str, Former]:
         """Lock the file, and return the values that a killed program has left in it.
 
-        Raises AllanError if another program has locked the file, if the file cannot be read, or if
-        its folder cannot be created or written.
+        Raises AllanError if another program has locked the file, if the file cannot be read or is
+        invalid, or if its folder cannot be created or written.
         """
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)

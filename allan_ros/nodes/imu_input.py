@@ -112,9 +112,9 @@ def qos_text(qos: QoSProfile) -> str:
 def _loss_event(subscription: Subscription) -> Any:
     """Return a handle for polling the number of messages that the middleware has lost.
 
-    Returns None if the middleware does not count lost messages. The event is polled, because with
-    Fast DDS, an executor that waits for such an event wakes again and again while the subscription
-    has unread messages.
+    Returns None if the middleware does not count lost messages, or if rclpy cannot poll the event.
+    The event is polled, because with Fast DDS, an executor that waits for such an event wakes again
+    and again while the subscription has unread messages.
     """
     event_type = QoSSubscriptionEventType.RCL_SUBSCRIPTION_MESSAGE_LOST
     try:
@@ -184,8 +184,8 @@ class _Buffer:
 class ImuInput:
     """Subscribes to the Imu messages of one topic, and decodes them; the topic may be remapped.
 
-    ``polled`` is True if a thread fetches the messages until `close`, and False if a callback
-    receives the messages. ``constant`` finds axes whose values no longer change.
+    ``polled`` is True if a thread fetches the messages, and False if a callback receives the
+    messages. ``constant`` finds axes whose values no longer change.
     """
 
     def __init__(self, node: Node, topic: str, settings: InputSettings) -> None:

@@ -118,7 +118,7 @@ class LivePage:
         """Return the HTML page of a URL path, or None if there is none.
 
         If the path is the name of a topic, the page is the report of this topic. The page of '/' is
-        the list of topics or, if there is only one topic, the report of this topic.
+        the report of the only topic, a list of several topics, or a hint if there is no topic.
         """
         sums = dict(self._sums)  # a copy, because another thread adds topics
         topic = next(iter(sums)) if path == '/' and len(sums) == 1 else path

@@ -56,7 +56,7 @@ class Snapshot:
     ``total`` contains the Allan sums and their provenance. ``frame_id``, ``hardware_id`` and
     ``axes`` describe the messages that are received at that time; the sums may come from another
     IMU. ``axes`` are also known while there are no sums. ``means`` are means over 1 s of the latest
-    samples at rest, in SI; each `Means` contains the axes with the same sample rate. ``faults`` are
+    samples at rest, in SI; all axes in a `Means` have the same sample rate. ``faults`` are
     findings about the present samples: faults, motion, and more noise than in the sums. ``drives``
     are the latest drives between two rests; the document of a snapshot does not contain the drives.
     """

@@ -88,8 +88,8 @@ class Parameters:
     ) -> ParameterGroup[T]:
         """Return a group, and declare ``<prefix>.<field>`` for each field that is not declared yet.
 
-        If ``names`` are given, only the fields with these names are declared; other fields have
-        their defaults. Raises AllanError if a value given at start is invalid or has the wrong
+        If ``names`` are given, only the fields with these names are declared; undeclared fields
+        have their defaults. Raises AllanError if a value given at start is invalid or has the wrong
         type, and ParameterException (rclpy) if a value is outside its range.
         """
         # The group is removed during the declarations. rclpy calls `_on_set` for each declaration,
@@ -228,9 +228,9 @@ class NodePart:
 class AllanNode(Node):
     """A node that consists of parts, such as the inputs of several IMUs.
 
-    An unexpected exception in one part is logged with its traceback, once for each type and place,
-    and reported as ERROR on `/diagnostics`; the node and its other parts continue. ``options`` are
-    passed to `rclpy.node.Node`.
+    An unexpected exception in a running part is logged with its traceback, once for each type and
+    place, and reported as ERROR on `/diagnostics`; the node and its other parts continue.
+    ``options`` are passed to `rclpy.node.Node`.
     """
 
     def __init__(self, name: str, **options: Any) -> None:

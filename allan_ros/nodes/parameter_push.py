@@ -25,8 +25,8 @@ fault, ``push.enabled`` becomes false, this node ends, or this node starts after
 
 The present value of a parameter is read before each change, if the other node answers. If an
 operator or another node has changed a parameter after this node set it, this node does not set it
-any more until it is restarted. A value of the noise model that the other node refuses is not sent
-again.
+any more until it is restarted. A value of the noise model that the other node refuses is usually
+not sent again.
 """
 
 from __future__ import annotations
@@ -200,8 +200,9 @@ class ParameterPush(NodePart):
     def close(self) -> None:
         """Restore the found values, because no program would restore them until the next start.
 
-        If the other node does not answer, the found values are sent although the present values
-        could not be read. Values that do not arrive are restored at the next start of this node.
+        If the other node offers its services but does not answer, the found values are sent
+        although the present values could not be read. The file of `FormerValues` keeps values that
+        do not arrive.
         """
         self._cancel()
         self._plan = None

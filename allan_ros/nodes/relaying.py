@@ -183,15 +183,15 @@ class ModelInput:
 class ImuRelay(NodePart):
     """Republishes the messages of one IMU on ``<topic>_with_covariance``, with covariances.
 
-    The covariances are computed from the noise model that `offer` receives. If the model does not
-    contain a sensor, the covariance of this sensor is computed from the datasheet
+    The covariances are computed from the noise model that `offer` receives. If this model does not
+    determine the covariance of a sensor, the covariance is computed from the datasheet
     ``estimator.sensor``, if this parameter is set. The covariance of a sensor with a fault is not
     filled in. With a datasheet, the mean angular rate is regarded as the bias of the gyro until the
-    bias is known.
+    bias is known, unless the samples are debiased.
 
     ``model_topic`` is the topic of the noise model, and ``input_findings`` returns the findings
     about the messages on this topic. Raises AllanError if the input topic and the output topic have
-    the same name after remapping, or if the datasheet cannot be read.
+    the same name after remapping, or if the datasheet is unknown, invalid or cannot be read.
     """
 
     def __init__(

@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """`allan_watch`: show `/diagnostics` of the allan_ros nodes as a live table in the terminal.
 
-The most severe status comes first. If the output is not a terminal, a line is printed whenever
-the level of a status changes.
+The most severe status comes first. If the output is not a terminal, a line is printed for
+each new status and whenever the level of a status changes.
 """
 
 from __future__ import annotations
@@ -261,8 +261,8 @@ class Watch(Node):
     def _show(self, hint: str) -> None:
         """Show the latest statuses, or ``hint`` if there is none.
 
-        In a terminal, the table is drawn again. With ``--plain`` or without a terminal, each new
-        status and each status whose level has changed is printed.
+        In a terminal, the table is drawn again. With ``--plain``, or without a terminal or the
+        package rich, each new status and each status whose level has changed is printed.
         """
         rows = self._rows()
         if self._live:

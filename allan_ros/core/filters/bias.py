@@ -73,7 +73,7 @@ class BiasModel(NamedTuple):
 class BiasFilter:
     """Kalman filter for the bias of one axis at rest, from means over 1 s (`MEAN_S`).
 
-    Successive means have no gap between them, except for the times that are given to `pause`.
+    The means are taken as successive, without gaps except for the times that `pause` receives.
 
     Parameters
     ----------
@@ -177,8 +177,8 @@ class BiasFilter:
 class BiasTracker:
     """Estimates the bias of each axis of an IMU from means at rest, with one `BiasFilter` per axis.
 
-    When the noise models change, each filter restarts from the stored means of its axis. When the
-    clock is set back, the stored means are removed.
+    When the noise models change, the filters restart from the stored means. If the times of new
+    means have jumped back, they replace the stored means (see `add_means`).
     """
 
     def __init__(self) -> None:
@@ -191,7 +191,7 @@ class BiasTracker:
 
         The new means must be in the order of time. Means that are not later than the latest stored
         mean are ignored. But if the last new mean is earlier than the latest stored mean, the time
-        has jumped back. In this case, the stored means are removed, and all new means are used.
+        has jumped back. In this case, the new means replace the stored means.
         """
         means = self._means.setdefault(axis, deque(maxlen=STORED_MEANS))
         if means and len(end_ns) and end_ns[-1] < means[-1][0]:

@@ -10,13 +10,13 @@ distributed with mean 0 and the covariance
     V = D + U U',   D = s_1^2 M_1 + s_2^2 M_2 + ... + F.
 
 D contains the errors that are independent from drive to drive, in one block per drive. M_i are
-covariances due to the noise of the sensors as measured at rest, and s_i is the factor by which this
-noise is larger in motion. F is the covariance due to white noise in the means at the rests, and due
-to errors of second order.
+covariances due to the noise of the sensors at rest, as measured or assumed. s_i is the factor by
+which this noise is larger in the drives. F is the covariance due to white noise in the means at the
+rests, and due to errors of second order.
 
-Each column of U is the effect of one unknown that several drives may have in common, times the
-prior standard deviation of this unknown. The unknowns are the bias of the accelerometer, the
-rotation of the Earth and, if they are to be estimated, calibration errors.
+U U' is the covariance due to unknowns that several drives may have in common: the bias of the
+accelerometer, the rotation of the Earth and, if they are to be estimated, calibration errors. The
+columns of U are the effects of combinations of these unknowns with the prior variance 1.
 
 The factors s_i maximize the product of the likelihood and their prior density. The method is Fisher
 scoring of variance components (H. D. Patterson, R. Thompson, Biometrika 1971). With
@@ -103,7 +103,7 @@ class NoiseAtRest(NamedTuple):
 
 
 class DriveFit(NamedTuple):
-    """Maximum of the likelihood: the factors s_i, and the value and derivatives of the likelihood.
+    """Fit of the factors s_i to drives, with the value and the derivatives of the likelihood.
 
     Attributes
     ----------
@@ -167,8 +167,8 @@ class DriveLikelihood:
         Covariances M_i: 'gyro_white' and 'accel_white' for white noise, 'gyro_slow' and
         'accel_slow' for measured drift, 'gyro_drift' and 'accel_drift' for unknown drift.
     own : (drives, 9, 9) array
-        Covariance F of the errors that no factor changes: noise at the rests, and second-order
-        effects.
+        Covariance F of the errors that no factor changes: white noise at the rests, and
+        second-order effects.
     common : (drives, 9, r) array
         Columns of U for the bias of the accelerometer and for the rotation of the Earth.
     effects : mapping of str to (drives, 9, k) array
@@ -237,7 +237,7 @@ class DriveLikelihood:
     def fit(
         self, groups: Groups, causes: tuple[str, ...] = (), start: DriveFit | None = None
     ) -> DriveFit:
-        """Return the fit of the factors s_i that maximize the likelihood with their prior.
+        """Return a fit of the factors s_i, which maximizes the likelihood with their prior.
 
         Parameters
         ----------
@@ -252,7 +252,7 @@ class DriveLikelihood:
         Returns
         -------
         DriveFit
-            The result of the last accepted step, even if the search has not converged.
+            The result at the end of the search, even if the search has not converged.
         """
         groups = (*groups, *((name,) for name in self.unknown))
         theta = np.zeros(len(groups)) if start is None else start.log_factors
@@ -379,11 +379,11 @@ class DriveLikelihood:
 
 
 def _second_order(drive: DriveErrors) -> Floats:
-    """Return the size of the part of each residual, (9,), that is quadratic in the rotation error.
+    """Return the approximate size of the second-order error in each residual, (9,).
 
-    A rotation error psi moves the vector of gravity g by psi g to first order, and by psi^2 g / 2
-    to second order. The rotation residual determines psi at the end of the drive, and the velocity
-    residual the mean of psi.
+    A rotation error psi moves the vector of gravity g by up to psi g to first order, and by up to
+    psi^2 g / 2 to second order. The rotation residual determines psi at the end of the drive, and
+    the velocity residual the mean of psi.
     """
     end_angle = float(np.linalg.norm(drive.residual[ROTATION])) / GRAVITY
     mean_angle = float(np.linalg.norm(drive.residual[VELOCITY])) / (GRAVITY * drive.duration)

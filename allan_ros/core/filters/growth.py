@@ -45,7 +45,7 @@ class Growth:
         Time in s before the correction, over which the bias was averaged.
     std : Estimate
         Predicted standard deviation of the error, in the unit of the samples times s. The estimate
-        has no interval if N, B, K or R of the model has neither an interval nor a limit.
+        has no interval if N, B, K or R of the model has neither an interval nor a finite limit.
     """
 
     horizon: float
@@ -80,12 +80,13 @@ def growth_table(
     The interval of a term that is not resolved reaches from 0 to its upper limit. The distances of
     these variances from the estimated variance are added in quadrature over the terms (method of
     variance estimates recovery; G. Y. Zou, A. Donner, Statistics in Medicine 2008). This assumes
-    uncorrelated estimates. Estimates of neighboring terms are negatively correlated, which makes
-    the interval too wide rather than too narrow.
+    uncorrelated estimates. Estimates of neighboring terms are usually negatively correlated, which
+    makes the interval too wide rather than too narrow.
 
     The predictive interval contains the root mean square of the errors in another hour with a
-    probability of 95 %. The levels of white noise and drift in that hour may differ from the levels
-    in the recording, and an hour contains a limited number of independent errors (`INDEPENDENT`).
+    probability of about 95 %. The levels of white noise and drift in that hour may differ from the
+    levels in the recording, and an hour contains a limited number of independent errors
+    (`INDEPENDENT`).
     """
     h = np.array(horizons)
     model = fit.model.drift

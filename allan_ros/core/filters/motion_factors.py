@@ -77,11 +77,11 @@ class Cause:
         Increase of 2 log L when this cause is added to the model. If 'gyro_matrix' or
         'accel_matrix' replaces 'rotation', the increase compared with the model with 'rotation'.
     elements : tuple of Estimate
-        For 'rotation', the three elements of the vector in rad by which the axes of the gyro are
-        rotated relative to the axes of the accelerometer. For the other causes, the nine elements
-        of a matrix, row by row; the error is the matrix times the true rate or specific force.
-        Elements that the drives do not determine are not resolved. For example, gravity does not
-        show a rotation about the vertical.
+        For 'rotation', the three elements of the vector v in rad for which the error of the gyro is
+        v x w, where w is the true rate in the axes of the accelerometer. For the other causes, the
+        nine elements of a matrix, row by row; the error is the matrix times the true rate or
+        specific force. Elements that the drives do not determine are not resolved. For example,
+        gravity does not show a rotation about the vertical.
     """
 
     name: str
@@ -108,7 +108,7 @@ class Cause:
 
 @dataclass(frozen=True)
 class DriveRatio:
-    """Errors of one drive, divided by the root mean square that the noise at rest predicts.
+    """Errors of one drive, divided by their predicted root mean square.
 
     The effects of the estimated bias of the accelerometer and of the rotation of the Earth are
     subtracted from the errors.
@@ -136,14 +136,15 @@ class SensorInMotion:
     Attributes
     ----------
     factor : Estimate
-        Root mean square error of all drives, divided by its prediction. For the gyro, this is the
-        error of the angle; for the accelerometer, the error of the velocity. The model contains no
-        calibration error.
+        Root mean square error of all drives according to the fit, divided by its prediction. For
+        the gyro, this is the error of the angle; for the accelerometer, the error of the velocity.
+        The model contains no calibration error.
     white, slow : Estimate or None
-        Factors of N, and of K and other drift, that explain this ratio; None for noise that is the
-        same as at rest. Errors due to white noise grow with the root of the duration of a drive,
-        errors due to drift grow faster. If the drives do not show whether white noise or drift is
-        larger in motion, and drift was measured at rest, both factors are the same.
+        Factors of N, and of K and other drift, that explain this ratio; None for noise that is
+        taken to be the same as at rest. Errors due to white noise grow with the root of the
+        duration of a drive, errors due to drift grow faster. If the drives do not show whether
+        white noise or drift is larger in motion, and drift was measured at rest, both factors are
+        the same.
     explained : Estimate or None
         The same ratio as ``factor``, but with the calibration errors of all causes in the model;
         None if there are no causes.
@@ -213,7 +214,7 @@ def axis_noise(model: Model, tau0: float, limits: Mapping[str, float] = {}) -> N
     ----------
     model : Model
         Resolved noise, which must contain white noise. If the model contains no drift, a drift of
-        unknown size within ``limits`` is assumed.
+        unknown size is assumed; ``limits`` limit this size.
     tau0 : float
         Sample period in s.
     limits : mapping of 'B' or 'K' to float
@@ -324,7 +325,7 @@ def _with_causes(
 
 
 def _ratio(data: DriveLikelihood, fit: DriveFit, sensor: str) -> Estimate:
-    """Return the root mean square error of a sensor in all drives, divided by its prediction.
+    """Return the fitted root mean square error of a sensor, divided by its prediction.
 
     In the prediction, an unknown drift has its fitted size, but not more than its upper limit
     (`LIMIT`).
@@ -359,7 +360,7 @@ def _raised(
 ) -> tuple[Estimate | None, Estimate | None]:
     """Return the factors by which white noise and drift of a sensor are larger in motion.
 
-    A factor is None if the fit has no factor of this noise.
+    A factor is None for noise that is taken to be the same as at rest.
     """
     half_widths = _quantile(len(fit.scores)) * fit.errors
     factors = {

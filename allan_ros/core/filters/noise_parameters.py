@@ -8,9 +8,9 @@ the fitted coefficients (`axis_level`) or the parameters of a reduced-order mode
 Reduced-order models
 --------------------
 A state estimator with the parameters N and K underestimates its error if the sensor also has bias
-instability. A `Reduction` has larger parameters. With these, the state estimator predicts at least
-the error of the complete model at the compared horizons. With the bias model 'processes', it may
-predict 5 % less, or still less if the longest horizon is shorter than 1 s.
+instability. A `Reduction` has larger parameters where needed. With these, the state estimator
+predicts at least the error of the complete model at the compared horizons. With the bias model
+'processes', it may predict 5 % less, or still less if the longest horizon is shorter than 1 s.
 
 Horizons
 --------
@@ -264,9 +264,9 @@ def closest_process(
 ) -> tuple[float, float] | None:
     """Return the parameters of the process that best replaces all drift of a model.
 
-    Among the correlation times that are tried, this process and the white noise of the model
-    minimize the largest relative difference, over 30 horizons, between the error that they predict
-    and the error that the complete model predicts.
+    For each process that is tried, the error due to this process and the white noise of the model
+    is compared with the error of the complete model. The process for which these errors differ
+    least, on a logarithmic scale at the worst of 30 horizons, is returned.
 
     Parameters
     ----------
@@ -319,7 +319,8 @@ def closest_process(
 def axis_level(axis: str, fit: AxisFit, term: str) -> FilterLevel:
     """Return the fitted coefficient of a term, or its 95 % upper limit if it is not resolved.
 
-    With the limit, a state estimator overestimates the noise and gives other sensors more weight.
+    With the limit, a state estimator usually overestimates the noise, and gives other sensors more
+    weight.
 
     Parameters
     ----------
@@ -333,7 +334,7 @@ def axis_level(axis: str, fit: AxisFit, term: str) -> FilterLevel:
     Raises
     ------
     AllanError
-        When the term has neither a positive resolved estimate nor a positive finite limit.
+        When the term has neither a resolved estimate nor a limit that is positive and finite.
     """
     coefficient = fit.noise[term].magnitude if term == 'R' else fit.noise[term]
     value, limit = coefficient.value, coefficient.upper95
@@ -372,16 +373,17 @@ def reduce_axis(
     Reduction
         ``levels`` are N and, if the reduced-order model has a random walk or K was added, K. With
         'none' and 'walk', the interval of an increased value comes from the reduced-order models of
-        two complete models: one with all coefficients at the lower ends of their 95 % intervals,
-        and one with all coefficients at the upper ends. The interval is unknown with 'processes',
-        or if N, B, K or R of the model has neither an interval nor a limit. An upper limit of N
-        that was increased remains an upper limit. An increase of up to 0.1 % does not count.
+        two complete models, with coefficients at the lower and at the upper ends of their 95 %
+        intervals (`AxisFit.models_at_ends`). The interval of an increased value is unknown with
+        'processes', or if N, B, K or R of the model has neither an interval nor a finite limit. An
+        upper limit of N that was increased remains an upper limit. An increase of up to 0.1 % does
+        not count.
 
     Raises
     ------
     AllanError
-        When N, or K where it is added, has neither a positive resolved estimate nor a positive
-        finite limit.
+        When N, or K where it is added, has neither a resolved estimate nor a limit that is positive
+        and finite.
     """
     white, walk = axis_level(axis, fit, 'N'), None
     model = fit.model.changed(N=white.value)

@@ -40,8 +40,8 @@ def white_variances(
     -------
     dict of 'gyro' and 'accel' to (x, y, z)
         The variances in the squared unit of the samples. A sensor is excluded if N of one of its
-        axes has neither a resolved estimate nor a limit, or if an axis is missing. With a horizon,
-        the same holds for K of an axis whose model has no drift.
+        axes has neither a resolved estimate nor a finite limit, or if an axis is missing. With a
+        horizon, the same holds for K of an axis whose model has no drift.
     """
     stds: dict[str, float] = {}
     for name, fit in axes.items():
@@ -61,11 +61,12 @@ def white_variances(
 
 
 def white_ratio(axes: Mapping[str, AxisFit], horizon: float) -> float:
-    """Return the largest ratio, over all axes, of the upper to the lower end of the interval of N.
+    """Return the largest ratio, over all axes, of N for high noise to N for low noise.
 
-    N is increased for a ``horizon`` in s, above 0, as in `white_variances`. The ratio is infinite
-    if the lower end is 0, or if N, B, K or R of the model of an axis has neither an interval nor a
-    limit.
+    Each N is increased until white noise alone covers the error of a model up to a ``horizon`` in
+    s, above 0. The models have coefficients at the upper and at the lower ends of their 95 %
+    intervals (`AxisFit.models_at_ends`). The ratio is at least 1. It is infinite if N for low noise
+    is 0, or if N, B, K or R of the model of an axis has neither an interval nor a finite limit.
     """
     ratios = [1.0]
     for fit in axes.values():
