@@ -54,13 +54,14 @@ PART = 0.04
 the highest N of the parts. Periods that are longer are not divided."""
 
 LEAST_DOF = 10.0
-"""Fewest degrees of freedom of the level of a part of a recording."""
+"""Fewest degrees of freedom of the level in each part into which `PeriodLevels.joined` divides the
+data."""
 
 LEAST_CHANGE = 0.2
-"""Least relative change of N after which only the last part is fitted."""
+"""Relative change of N above which only the data after the change are fitted."""
 
 LEAST_LAST_S, LEAST_LAST_PART = 30.0, 0.1
-"""Shortest last part of a recording that is fitted alone: in s, and relative to all data."""
+"""Least amount of data after a change of N that is fitted alone: in s, and relative to all data."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,7 +123,8 @@ class PeriodLevels:
     def varies(self, axis: int, spread: float = 1.0) -> bool:
         """Return whether the levels of the periods differ significantly (Bartlett's test).
 
-        ``spread`` is the result of `spread`, or 1 for Gaussian noise.
+        ``spread`` is the variance of the level relative to its variance for Gaussian noise: 1, or
+        the result of the method `spread`.
         """
         power, dof = self.power[:, axis], self.dof[:, axis]
         is_known = (dof > 0.0) & (power > 0.0)
@@ -151,8 +153,9 @@ class PeriodLevels:
     def last_change(self, axis: int) -> int | None:
         """Return the index of the first period after the last significant change of the level.
 
-        The result is None if no change is significant, or if N after the last change differs from
-        the usual N before this change by no more than `LEAST_CHANGE`.
+        Changes of N by no more than `LEAST_CHANGE` are ignored. The result is None if no other
+        change is significant, or if N after the last change differs from the usual N before this
+        change by no more than `LEAST_CHANGE`.
         """
         dof, power, spread = self.dof[:, axis], self.power[:, axis], self.spread(axis)
         found, begin = None, 0
@@ -201,9 +204,10 @@ class PeriodLevels:
         return np.add.reduceat(total, bounds[:-1]) / dof if len(bounds) > 1 else dof, dof
 
     def _is_mixed(self, axis: int, at: int, spread: float) -> bool:
-        """Return whether the level of a period differs significantly from the mean later level.
+        """Return whether the level of a period differs significantly from the mean level after it.
 
-        ``at`` is the index of the period. ``spread`` is the result of `spread`.
+        ``at`` is the index of the period. ``spread`` is the variance of the level relative to its
+        variance for Gaussian noise.
         """
         dof, power = self.dof[:, axis], self.power[:, axis]
         later_dof = dof[at + 1 :].sum()
@@ -216,8 +220,9 @@ class PeriodLevels:
     def change(self, axis: int, at: int) -> float:
         """Return the relative change of N at the start of the period ``at``; the result is >= 0.
 
-        The usual N before this time is compared with the mean N after it. A decrease of N counts
-        like an increase by the same factor.
+        The usual N before this time is compared with the root mean square of N after it. A decrease
+        of N counts like an increase by the same factor. The result is 0 if N before or after the
+        change is 0 or unknown. ``at`` is at least 1.
         """
         level_before, level_after = self.usual(axis, at), self.mean(axis, slice(at, None))
         if not (level_before > 0.0 and level_after > 0.0):  # no noise before or after the change
@@ -292,24 +297,44 @@ def white_noise_levels(spectra: PeriodSpectra) -> PeriodLevels:
     return spectra.levels(whole.power, no_sinusoid)
 
 
+def _before(levels: PeriodLevels, end: int) -> PeriodLevels:
+    """Return the levels of the periods before the index ``end``."""
+    return replace(
+        levels, power=levels.power[:end], dof=levels.dof[:end], samples=levels.samples[:end]
+    )
+
+
+def _lasting_change(levels: PeriodLevels, axis: int, least_samples: float) -> int | None:
+    """Return the index of the first period after the last change of N with enough later data.
+
+    A change is ignored if it is followed by fewer than ``least_samples`` samples, or if N of all
+    later data differs from the usual N before the change by no more than `LEAST_CHANGE`. The result
+    is None if no change remains.
+    """
+    change = levels.last_change(axis)
+    while change is not None and (
+        levels.samples[change:].sum() < least_samples or levels.change(axis, change) <= LEAST_CHANGE
+    ):
+        change = _before(levels, change).last_change(axis)
+    return change
+
+
 def present_part(sums: AllanSums, levels: PeriodLevels) -> tuple[int, tuple[int, ...]] | None:
     """Return the first period at the present level of the white noise, and the axes that changed.
 
     Both results are indices. An axis has changed if N of the axis changed by more than
     `LEAST_CHANGE` at the start of this period. A change is ignored if the data after the change
-    last less than `LEAST_LAST_S`, or less than the share `LEAST_LAST_PART` of all data. The result
-    is None if no change remains.
+    last less than `LEAST_LAST_S`, or less than the share `LEAST_LAST_PART` of all data. An earlier
+    change of the axis may then be used. The result is None if no change remains.
     """
     total = levels.samples.sum()
     least_samples = max(LEAST_LAST_S / (sums.tau0 or 1.0), LEAST_LAST_PART * total)
-    last_changes = {i: levels.last_change(i) for i in range(len(sums.axes))}
-    last_changes = {
-        i: k for i, k in last_changes.items() if k and levels.samples[k:].sum() >= least_samples
-    }
-    if not last_changes:
+    axes = range(len(sums.axes))
+    changes = [_lasting_change(levels, i, least_samples) for i in axes]
+    at = max((change for change in changes if change), default=None)
+    if at is None:
         return None
-    at = max(k for k in last_changes.values() if k)
-    return at, tuple(i for i in range(len(sums.axes)) if levels.change(i, at) > LEAST_CHANGE)
+    return at, tuple(i for i in axes if levels.change(i, at) > LEAST_CHANGE)
 
 
 # --- level of the drift ---------------------------------------------------------------------------
@@ -337,8 +362,8 @@ def total_and_drift(
 ) -> tuple[Floats, Floats]:
     """Return an expected statistic of the model of an axis, and the part that is due to drift.
 
-    Drift is all noise with `Process.is_drift`, except white noise. A ramp and a low-pass filter are
-    no noise, and are ignored.
+    Drift is all noise with `Process.is_drift`, except white noise. A ramp and the effect of a
+    low-pass filter are ignored, because they are not noise.
 
     Parameters
     ----------
@@ -396,9 +421,10 @@ def innovation_levels(
     """Return the level of the drift in each block mean except the first mean of each segment.
 
     Segments with fewer than `LEAST_MEANS` block means are omitted. The level of a block mean is the
-    square of its innovation, with one degree of freedom. Both are 0 for an axis whose model has no
-    drift, whose drift has a mean share below `LEAST_SHARE` in the variance of the innovations, or
-    nearly all of whose power is at the frequencies of sinusoids.
+    square of its innovation, with one degree of freedom. The levels of an axis and their degrees of
+    freedom are 0 if the model of the axis has no drift, if the mean share of the drift in the
+    variance of the innovations is below `LEAST_SHARE`, or if nearly all power of the model is at
+    the frequencies of sinusoids.
 
     Parameters
     ----------

@@ -210,6 +210,16 @@ def test_the_model_follows_a_change_of_the_white_noise(
     assert set(changes(sums, may_exclude=False)) == {'level_changes'}
 
 
+def test_a_change_near_the_end_does_not_hide_an_earlier_change() -> None:
+    y = draw(7, 108_000, 100.0, 'N')
+    y[44_000:] *= 2.0
+    y[103_000:] *= 1.5
+    sums = sums_of(y, rate=100.0)
+    first, axes = present_part(sums, white_noise_levels(period_spectra(sums))) or (0, ())
+    assert 0.9 * 64_000 < sum(p.samples for p in sums.periods[first:]) <= 64_000
+    assert axes == (0, 1, 2)
+
+
 def test_a_short_burst_of_noise_excludes_nothing() -> None:
     y = draw(8, 108_000, 100.0, 'N')
     y[40_000:50_000] *= 2.0
