@@ -251,9 +251,9 @@ TESTED_RECORDINGS = 4
 """Largest number of recordings that are tested for a settling: the longest recordings."""
 
 MOST_LEFT = 1.0
-"""Largest part of a settling that may be left at the end of the first segment with block means,
-relative to the Allan deviation of the noise at the time constant. If more is left, the sensor has
-not settled."""
+"""Largest remainder of a settling for which the sensor is assumed to have settled. The remainder is
+measured at the end of the first segment with block means, and is divided by the Allan deviation of
+the noise at the time constant."""
 
 
 @dataclass(frozen=True)
@@ -263,15 +263,16 @@ class SensorSettling:
     Attributes
     ----------
     settling : Settling
-        Time constant of the sensor, and size of each axis in each recording with a settling.
+        Time constant of the sensor, and size of the settling of each axis in each recording in
+        which the sensor settles.
     axes : tuple of int
         Indices of the axes that settle.
     gain : float
         Gain in -2 log L, summed over the axes, in the recording with the largest gain.
     left : float
-        Part of the settling that is left at the end of the first segment with block means, divided
-        by the Allan deviation of the noise at the time constant. The largest of these ratios for
-        all settling axes and recordings is given.
+        Remainder of the settling at the end of the first segment with block means, divided by the
+        Allan deviation of the noise at the time constant: the largest of these ratios for all
+        settling axes and recordings.
     """
 
     settling: Settling
@@ -282,7 +283,7 @@ class SensorSettling:
 
 @dataclass(frozen=True, eq=False)
 class _Sensor:
-    """First segment with block means of a recording, and the noise of one sensor's axes in it."""
+    """Noise of the axes of one sensor in the first segment of a recording that has block means."""
 
     segment: SegmentStatistics
     noise: Mapping[int, AxisSegment]

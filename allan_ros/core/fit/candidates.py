@@ -28,8 +28,9 @@ SHORTEST_TIME = 2.0
 correlation time looks like white noise."""
 
 WANDER = 1e-3
-"""Assumed relative uncertainty of the frequency of a sinusoid. The frequency of an alias of this
-sinusoid has the same uncertainty in cycles per sample."""
+"""Assumed uncertainty of the frequency of a sinusoid, divided by this frequency. The frequency of
+an alias has the same absolute uncertainty, in cycles per sample, as the frequency of the
+sinusoid."""
 
 LEAST_OWN = 1e-5
 """Least share of the Fisher information of a candidate that is independent of the components of the
@@ -89,7 +90,7 @@ class LowBandFit:
 
     @classmethod
     def all_of(cls, data: AxisData, fit: Fit) -> list[LowBandFit]:
-        """Return the matrices for each group of segments of an axis."""
+        """Return one object for each group of segments, from the data and the fit of an axis."""
         matrices = []
         for group, d in zip(data.low, fit.columns.low):
             v = np.asarray(np.linalg.inv(np.tensordot(fit.p, d, 1)), np.float64)
@@ -160,13 +161,16 @@ class Kind:
     def power(self) -> Floats:
         """Expected power of each candidate with the coefficient 1, (candidates, bins).
 
-        The power has the unit of the coefficient.
+        The power has the squared unit of the coefficient.
         """
         return np.array([self.statistics.power_of(each) for each in self.processes])
 
     @cached_property
     def slow(self) -> Ints:
-        """Indices of the k candidates whose effect on the block means a search considers, (k,)."""
+        """Indices, (k,), of the candidates whose effect on block means is included in a search.
+
+        The effect of the other candidates on block means is neglected.
+        """
         if self.first.low_band == 'dense':
             return np.arange(len(self.processes))
         if self.first.low_band == 'none':
@@ -178,7 +182,7 @@ class Kind:
         """Covariances of the contrasts for the k slow candidates, for each group of segments.
 
         Each array is (k, contrasts, contrasts). The covariances are computed for the coefficient 1
-        and have the unit of the coefficient.
+        and have the squared unit of the coefficient.
         """
         known = self.statistics
         low = [known.column(self.processes[i]).low for i in self.slow.tolist()]
@@ -190,7 +194,7 @@ class Kind:
 
         Each array is (sinusoids, 2, contrasts). The outer product of the cosine plus the outer
         product of the sine is the covariance of a sinusoid with random phase and the coefficient 1,
-        in the unit of the coefficient.
+        in the squared unit of the coefficient.
         """
         f, step = self.number[self.slow], self.statistics.step
         gain = np.sin(np.pi * step * f) / (step * np.sin(np.pi * f)) / math.sqrt(2.0)

@@ -112,17 +112,17 @@ def axis_fit(selected: SelectedModel, tau0: float, brief: bool = False) -> AxisF
         for term, component in zip(RANDOM_TERMS, fit.components)
     }
     values['R'] = 0.0 if brief else _ramp_of_model(ramp, noise['R'].resolved)
-    shaped = _shaped(fit)
+    order = _indices_with_shape(fit)
     parts = [
         *Model.of(**values).parts,
-        *(_part(fit, k, errors, data.scale, tau0) for k in shaped),
+        *(_part(fit, k, errors, data.scale, tau0) for k in order),
     ]
     low_pass = selected._replace(fit=fit).low_pass * data.scale * tau0**2
     if low_pass:
         parts.append(Part(LowPass(), low_pass))
     return AxisFit(
         noise=noise,
-        model=Model(tuple(parts), _covariance(fit.components, covariance, shaped, tau0)),
+        model=Model(tuple(parts), _covariance(fit.components, covariance, order, tau0)),
         m_min=selected.shortest_factor,
         filtered=bool(rules.signed),
         gof_z=tested.goodness,
@@ -185,14 +185,14 @@ def _ramp_of_model(ramp: RampEstimate | None, resolved: bool) -> float:
     return math.copysign(math.sqrt(max(excess, 0.0)), ramp.value)
 
 
-def _shaped(fit: Fit) -> list[int]:
+def _indices_with_shape(fit: Fit) -> list[int]:
     """Return the indices of the processes with a shape and a variance above 0.
 
     The indices are sorted by name and shape of the processes.
     """
     processes = fit.components
-    shaped = (k for k, process in enumerate(processes) if process.parameters and fit.p[k] > 0.0)
-    return sorted(shaped, key=lambda k: (processes[k].name, processes[k].shape))
+    indices = (k for k, process in enumerate(processes) if process.parameters and fit.p[k] > 0.0)
+    return sorted(indices, key=lambda k: (processes[k].name, processes[k].shape))
 
 
 def _part(fit: Fit, index: int, errors: Errors, scale: float, tau0: float) -> Part:
@@ -225,8 +225,9 @@ def _covariance(
 ) -> Covariance:
     """Return the covariance of the squared coefficients in SI.
 
-    The first four rows are the random terms, or the processes that replace them. The other rows are
-    the other components whose indices are in ``order``, in this order, as in the model.
+    ``order`` contains indices of components, in the order of the model. The first four rows are for
+    the random terms, or for the processes that replace them. The following rows are for the
+    components in ``order`` that are not among the first four.
     """
     names, factors = [], []
     numbers: Counter[str] = Counter()

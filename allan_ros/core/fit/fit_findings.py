@@ -223,7 +223,7 @@ def is_disturbed(fit: AxisFit, tau0: float, seconds: float) -> bool:
     shares = [
         (p.process, p.value**2 / (2.0 if p.process.is_line else 1.0) / white)
         for p in fit.model.shaped.parts
-        # the rounding errors of a counter are no oscillation
+        # the rounding errors of a counter (letter Q) are not an oscillation
         if not p.process.is_drift and not p.process.letter
     ]
     motion_shares = [s for p, s in shares if not p.is_line or p.numbers['frequency'] < SLOW_HZ]

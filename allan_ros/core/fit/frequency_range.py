@@ -6,8 +6,9 @@ Low-pass filter
 ---------------
 A low-pass filter in the sensor removes power at high frequencies. No noise type describes this loss
 of power. Such an axis is fitted only below the highest frequency for which the model passes its
-tests. In this fit, q and a term in f^4 may be negative, and describe the remaining effect of the
-filter. If the model passes for no frequency, octaves that differ from the model get less weight.
+tests. In this fit, quantization noise (a term in f^2) and a term in f^4 may be negative, and
+describe the remaining effect. If the model passes for no frequency, octaves that differ from the
+model get less weight.
 """
 
 from __future__ import annotations
@@ -35,8 +36,8 @@ Measured false alarms: 0.1 % of 2100 axes."""
 CURVATURE = 2.5
 """A low-pass filter is assumed if the coefficient of f^2 in the spectrum is below 0 by more than
 this number of its standard errors. The expected rate of false alarms is 0.6 % (one-sided). A filter
-was found on 0.4 % of 2100 axes without a filter. If q may be negative, the magnitude of the
-coefficient of f^4 is tested instead."""
+was found on 0.4 % of 2100 axes without a filter. If the fit allows a negative coefficient of f^2,
+the magnitude of the coefficient of f^4 is tested instead."""
 
 LEAST_BINS = 12
 """Fewest bins of a fit that does not use all frequencies."""
@@ -46,21 +47,22 @@ WHITE_NOISE = 3.0
 that passes its tests. The rate of false alarms that is stated at `CURVATURE` includes this test."""
 
 LOST_POWER = 0.8, 0.5
-"""Least power in the highest octave of a fit, relative to the power two octaves lower, if the
-spectrum looks low-pass filtered. With less power, the fit is not tried, because several processes
-may imitate the filter, and the fit takes up to four times as long. The first number is for a fit of
-all frequencies. If this fit is excluded, the second number is for fits without the highest octaves
-of the data. There are two exceptions: a fit of the lowest frequencies is always possible, and a fit
-of all frequencies is tried if a fast process explains the spectrum (`_bends_like_noise`)."""
+"""Least power in the highest octave of a fit, divided by the power two octaves lower. If the
+spectrum looks low-pass filtered, fits with less power in their highest octave are not tried,
+because several processes may imitate the filter, and such a fit takes up to four times as long. The
+first number is for the fit of all frequencies. If this fit has too little power, the second number
+is for the fits of fewer frequencies. There are two exceptions: the fit of the lowest frequencies is
+never excluded, and the fit of all frequencies is tried if a fast process explains the spectrum
+(`_bends_like_noise`)."""
 
 FILTERED_FROM = 0.375
 """Frequency, in cycles per sample, above which the power is compared with a fit (`EXPLAINED`). A
 low-pass filter removes more power there than at lower frequencies."""
 
 EXPLAINED = 0.92
-"""Least power above `FILTERED_FROM`, relative to a fit with a fast Gauss-Markov process, for which
-the process may explain a spectrum that bends. Measured: 0.94 or more with such a process, at most
-0.88 with a low-pass filter."""
+"""Ratio of the measured power above `FILTERED_FROM` to the power of a fit with a fast Gauss-Markov
+process. Above this ratio, the process may explain a spectrum that looks low-pass filtered. Measured
+ratios: 0.94 or more for such a process, at most 0.88 for a low-pass filter."""
 
 DOMINATED = 2.0
 """Least power of a bin in which a sinusoid dominates, relative to a fit without sinusoids."""
@@ -81,8 +83,8 @@ class SelectedModel(NamedTuple):
         Rules and data of the selection. Bins that contain sinusoids, and octaves that differ from
         the model, have reduced weights.
     fit : Fit
-        Fitted components. q and the term in f^4 may be negative if the samples are low-pass
-        filtered.
+        Fitted components. The coefficients of quantization noise and of the term in f^4 may be
+        negative if the samples are low-pass filtered.
     top : float
         Highest frequency of the fit in cycles per sample: 0.5 if all data are used.
     lack : dict of int to float
@@ -132,10 +134,11 @@ class SelectedModel(NamedTuple):
 
         The coefficient is 0 if the samples are not low-pass filtered.
 
-        At averaging factors m that are large compared with 1/top, a change d(f) of the spectrum of
-        white noise changes the Allan variance by 3/m^2 times the integral of d(f)/(2 sin^2(pi f))
-        over f up to 1/2, because sin^4(pi f m) is 3/8 on average. Below ``top``, d(f) is the model
-        of the filter. Above ``top``, d(f) is the measured power minus the model without the filter.
+        The filter changes the spectrum of white noise by d(f), where f is in cycles per sample.
+        Below ``top``, the highest frequency of the fit, d(f) is the model of the filter. Above
+        ``top``, d(f) is the measured power minus the model without the filter. At averaging factors
+        m that are large compared with 1/``top``, d(f) changes the Allan variance by 3/m^2 times the
+        integral of d(f)/(2 sin^2(pi f)) over f up to 1/2, because sin^4(pi f m) is 3/8 on average.
         """
         data, fit = self.rules.data, self.fit
         if not self.rules.signed:
@@ -156,7 +159,7 @@ class SelectedModel(NamedTuple):
 class _TestResults(NamedTuple):
     """Results of the tests of a model."""
 
-    fits: bool  # whether neither one octave nor all octaves together differ from the model
+    fits: bool  # whether neither a single octave nor all octaves together differ from the model
     looks_filtered: bool  # whether the spectrum bends like the spectrum of a low-pass filter
 
     # whether the white noise is not known well, or processes of the model may imitate a filter
@@ -327,8 +330,8 @@ def _is_rather_filter(rules: Selection, fit: Fit) -> bool:
 
     The fast processes are Gauss-Markov processes that bend the spectrum (`bends_spectrum`). The
     result is True if -2 log L with the filter instead of these processes exceeds -2 log L of the
-    fit by less than `GAIN_RESOLVED`. It is False if the fit has no such process, or if q may
-    already be negative in the fit.
+    fit by less than `GAIN_RESOLVED`. It is False if the fit has no such process, or if the fit
+    already allows a negative coefficient of quantization noise.
     """
     is_fast = np.array([c.bends_spectrum for c in fit.components])
     if rules.signed or not is_fast.any():
@@ -372,7 +375,7 @@ def _trial(rules: Selection, top: float) -> _Trial:
     """Select a model for the frequencies below ``top``, and test this model."""
     f = rules.data.statistics.f
     rules = replace(rules, data=replace(rules.data, used=f < top), fastest=top)
-    if top < 0.5:  # q describes the filter; no process may be fast enough to imitate the filter
+    if top < 0.5:  # Q describes the filter; no process may be fast enough to imitate the filter
         base = (RANDOM_TERMS[Q], *rules.base[Q + 1 :])
         rules = replace(rules, base=base, signed=(Q,), shortest=8.0 / top, fastest=top / 2.0)
     rules, fit = rules.selected()
@@ -400,10 +403,11 @@ def _test(rules: Selection, fit: Fit) -> _TestResults:
     """Return the results of the tests of a model.
 
     The power in each octave and in all octaves is compared with the model (chi-squared tests). The
-    spectrum looks low-pass filtered if it contains a significant further power of f: a negative
-    term in f^2, or a term in f^4 if q may be negative. The model may hide a low-pass filter if the
-    white noise is less than `WHITE_NOISE` standard errors, if processes imitate the filter, or if
-    the filter explains the data nearly as well as the fast processes.
+    spectrum looks low-pass filtered if it contains a significant negative term in f^2. If the fit
+    already allows a negative term in f^2, the spectrum looks low-pass filtered if it contains a
+    significant term in f^4. The model may hide a low-pass filter if the white noise is less than
+    `WHITE_NOISE` standard errors, if processes imitate the filter, or if the filter explains the
+    data nearly as well as the fast processes.
     """
     from scipy.special import chdtrc
 

@@ -42,7 +42,7 @@ POWERS = (-2, -1, 0, 1, 2)
 
 PAPER_FACTORS = (3.0, 1.0, FLICKER_FLOOR, 1.0 / 3.0, 0.5)
 """Factors of the squared coefficients in A_p, in the order of `TERMS`. The A_p are 3 Q^2, N^2,
-(2 ln2/pi) B^2, K^2/3 and R^2/2 (the paper's eq. 3; IEEE Std 952-1997 annex C)."""
+(2 ln2/pi) B^2, K^2/3 and R^2/2 (Cong et al. 2019, eq. 3; IEEE Std 952-1997 annex C)."""
 
 
 def fit_paper(sums: AllanSums) -> NoiseModel:

@@ -125,13 +125,14 @@ def inverse(information: Floats) -> Floats:
 
 
 class LowBand(NamedTuple):
-    """Contrasts z (weighted sums of block means) of one group of segments, for one axis.
+    """Contrasts (weighted sums of block means) of one group of segments, for one axis.
 
     The contrast that measures a linear change with time is not included.
     """
 
     segments: int  # number of segments
-    gram: Floats  # (contrasts, contrasts) outer product of z with itself, summed over the segments
+    # (contrasts, contrasts) sum over the segments of z z^T, where z are the contrasts of a segment
+    gram: Floats
     points: int = 0  # number of block means of each segment
 
 
@@ -205,16 +206,18 @@ class AxisData:
             low.append([(b - a) / h for a, b in zip(low[i], shifted_low)])
         return Columns(np.array(power).T[self.used], [np.array(group) for group in zip(*low)])
 
-    def moments(self, columns: Columns, p: Floats) -> tuple[float, Floats, Floats] | None:
-        """Return -2 log L, the Fisher information I and the moment m at the coefficients ``p``.
+    def moments(
+        self, columns: Columns, coefficients: Floats
+    ) -> tuple[float, Floats, Floats] | None:
+        """Return -2 log L, the Fisher information I and the moment m at some coefficients.
 
-        The next step of Fisher scoring leads to the x that minimizes x'Ix - 2m'x. I is (components,
-        components), and m is (components,), as ``p``. The result is None if the expected power or
-        covariance is not positive.
+        The next step of Fisher scoring leads to the x that minimizes x^T I x - 2 m^T x. I is
+        (components, components). m and ``coefficients``, in units of `scale`, are (components,).
+        The result is None if the expected power or covariance is not positive.
         """
         from scipy.linalg import lapack  # slow to import
 
-        s = columns.power @ p
+        s = columns.power @ coefficients
         if np.any(s <= 0.0):
             return None
         half_dof = self.dof[self.used] / 2.0
@@ -223,17 +226,19 @@ class AxisData:
         a = columns.power * (np.sqrt(half_dof) / s)[:, None]
         information, moment = a.T @ a, a.T @ (ratio * np.sqrt(half_dof))
         for (count, gram, _), d in zip(self.low, columns.low):
-            flat_covariances = d.reshape(len(p), -1)
-            root, failure = lapack.dpotrf((p @ flat_covariances).reshape(d.shape[1:]), lower=1)
+            flat_covariances = d.reshape(len(coefficients), -1)
+            expected = (coefficients @ flat_covariances).reshape(d.shape[1:])
+            root, failure = lapack.dpotrf(expected, lower=1)
             if failure:
                 return None
             inverse_root = lapack.dtrtri(root, lower=1)[0]
-            v = inverse_root.T @ inverse_root
-            dv, vgv = d @ v, v @ gram @ v
-            value += 2.0 * count * float(np.log(np.diag(root)).sum()) + float(np.sum(gram * v))
-            transposed = dv.transpose(0, 2, 1).reshape(len(p), -1)
-            information += 0.5 * count * dv.reshape(len(p), -1) @ transposed.T
-            moment += 0.5 * flat_covariances @ vgv.ravel()
+            precision = inverse_root.T @ inverse_root
+            weighted, weighted_gram = d @ precision, precision @ gram @ precision
+            log_determinant = 2.0 * float(np.log(np.diag(root)).sum())
+            value += count * log_determinant + float(np.sum(gram * precision))
+            transposed = weighted.transpose(0, 2, 1).reshape(len(coefficients), -1)
+            information += 0.5 * count * weighted.reshape(len(coefficients), -1) @ transposed.T
+            moment += 0.5 * flat_covariances @ weighted_gram.ravel()
         return value, information, moment
 
     def _is_positive(self, columns: Columns, p: Floats) -> bool:
@@ -489,7 +494,7 @@ def ramp_estimate(data: AxisData, fit: Fit) -> RampEstimate | None:
             continue  # a ramp has no effect on symmetric contrasts
         d = np.array([column[g] for column in columns])
         line_weights = contrasts(group.size)[:, 0]
-        # first contrast, a line in time, of a ramp of 1 per sample
+        # value of the first contrast, whose weights are a line in time, for a ramp of 1 per sample
         unit_line = statistics.step * float(np.arange(group.size.points) @ line_weights)
         e = np.zeros(d.shape[1])
         e[0] = unit_line

@@ -35,13 +35,16 @@ TERMS = tuple(LETTERS)
 
 
 class Deviation(NamedTuple):
-    """Largest relative difference between the measured Allan deviation and the model.
+    """Point of a measured curve with the largest significant deviation from the model.
+
+    Deviations are compared on a logarithmic axis.
 
     Attributes
     ----------
     relative : float
         Measured Allan deviation / Allan deviation of the model - 1. A point above the model is
-        compared with the model in which all unresolved terms are at their upper limits.
+        compared with the model in which all unresolved terms with a known finite limit are at their
+        upper limits.
     tau : float
         Averaging time of the point in s.
     """
@@ -225,7 +228,8 @@ class ModelLine(NamedTuple):
     adev : (factors,) float64 array
         Allan deviation of the model.
     upper : (factors,) float64 array
-        Allan deviation of the model with every unresolved term at its 95 % upper limit.
+        Allan deviation of the model with every unresolved term at its 95 % upper limit, if the
+        limit is known and finite.
     """
 
     adev: Floats
@@ -233,11 +237,12 @@ class ModelLine(NamedTuple):
 
 
 def model_line(fit: AxisFit, tau0: float, m: NDArray[np.int64]) -> ModelLine:
-    """Return the Allan deviation of the model at the averaging factors ``m`` of a curve, in SI.
+    """Return the Allan deviations of a fitted model, and of this model at its upper limits, in SI.
 
-    ``m`` and both arrays of the result are (factors,). ``tau0`` is the sample period in s. Both
-    arrays are NaN below the shortest averaging time that the model describes, and where the Allan
-    variance of the model is not above 0.
+    They are computed at the averaging factors ``m`` of a curve, (factors,), and have the shape of
+    ``m``. ``tau0`` is the sample period in s. Both arrays of the result are NaN below the shortest
+    averaging time that the model describes, and where the Allan variance of the model is not above
+    0.
     """
     # the Allan variance of a model with a low-pass filter may be negative at short times
     with np.errstate(invalid='ignore'):
@@ -384,7 +389,11 @@ class TemperatureModel:
 
     @property
     def lag(self) -> float | None:
-        """Time in s by which the bias lags behind the thermometer; None if b1 may be 0."""
+        """Time in s by which the bias lags behind the thermometer.
+
+        The result is None if the interval of b1, the slope of the bias over temperature, contains
+        0.
+        """
         if self.b1_ci95[0] <= 0.0 <= self.b1_ci95[1]:
             return None
         return -self.hysteresis / (2.0 * self.b1 * self.rate)

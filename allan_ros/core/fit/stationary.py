@@ -50,8 +50,8 @@ LEAST_STATISTICS = 12
 means."""
 
 SHAKY_RATIO = 1.3
-"""Largest ratio of the highest to the lowest N of the periods for which steps of the bias are
-searched for."""
+"""Largest ratio of the highest to the lowest N in parts of the data. If the ratio of an axis is
+larger, steps of the bias are not searched for."""
 
 LEVEL_RATIO, LARGE_RATIO = 1.02, 1.1
 """Least ratio of the highest to the lowest N of the periods that is reported. The second value is
@@ -116,8 +116,7 @@ def fit_stationary(
         first_period, changed_axes = present
         seconds_since = data.samples * sums.tau0
         findings += [
-            _level_finding(model, sums.axes[i], levels, i, first_period, seconds_since)
-            for i in changed_axes
+            _level_finding(model, i, levels, first_period, seconds_since) for i in changed_axes
         ]
         levels = white_noise_levels(spectra)
     # a settling, or white noise that increases for some time, would look like steps of the bias
@@ -254,14 +253,17 @@ def rounding_errors(sums: AllanSums, axis: int, data: AxisData) -> Process | Non
 
 
 def _level_finding(
-    model: NoiseModel, axis: str, levels: PeriodLevels, i: int, at: int, seconds: float
+    model: NoiseModel, axis_index: int, levels: PeriodLevels, first_period: int, seconds: float
 ) -> Finding:
-    """Return the finding that the white noise of axis ``i`` changed at the period ``at``.
+    """Return the finding that the white noise of an axis changed at the start of a period.
 
-    ``seconds`` is the time since the change in s.
+    ``first_period`` is the index of the period, and ``seconds`` is the duration of the data since
+    the change in s.
     """
+    axis = list(model.axes)[axis_index]
     n = model.axes[axis].noise['N'].value or 0.0
-    ratio = math.sqrt(levels.usual(i, at) / levels.mean(i, slice(at, None)))
+    level_after = levels.mean(axis_index, slice(first_period, None))
+    ratio = math.sqrt(levels.usual(axis_index, first_period) / level_after)
     return finding('level_changed', (axis,), before=n * ratio, value=n, since=seconds)
 
 
@@ -371,8 +373,8 @@ def _with_predictive_intervals(
 def _fit_with_scatter(fit: AxisFit, white_scatter: float, drift_scatter: float) -> AxisFit:
     """Return a fit with the predictive intervals of N, B and K.
 
-    The parameters are the fields of `AxisFit` with the same names. Upper limits are multiplied by
-    the exponential of the scatter.
+    ``white_scatter`` and ``drift_scatter`` are stored in the fields of `AxisFit` with these names.
+    Upper limits are multiplied by the exponential of the scatter.
     """
     noise = dict(fit.noise)
     for letter, half_width in (('N', white_scatter), ('B', drift_scatter), ('K', drift_scatter)):

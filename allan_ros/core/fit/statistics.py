@@ -69,8 +69,9 @@ class Size(NamedTuple):
     def halves(self) -> list[Size]:
         """Return the sizes of the antisymmetric and of the symmetric contrasts.
 
-        If the contrasts are orthogonal to a settling, which is neither symmetric nor antisymmetric,
-        or if there are fewer cosines than `LEAST_DIVIDED`, the result contains only this size.
+        The contrasts are not divided if they are orthogonal to a settling, which is neither
+        symmetric nor antisymmetric, or if there are fewer cosines than `LEAST_DIVIDED`. In both
+        cases, the result contains only the original size.
         """
         if self.decay or self.high < LEAST_DIVIDED:
             return [self]
@@ -89,19 +90,20 @@ LEAST_POINTS = 4
 """Fewest block means of a segment from which contrasts are formed."""
 
 MOST_CONTRASTS = 300
-"""Largest number of cosines of a segment. If there are spectra, only cosines below the crossover
-frequency are used."""
+"""Largest number of cosines with which the block means of a segment are weighted. Each cosine gives
+one contrast. If there are spectra, only cosines below the crossover frequency are used."""
 
 LEAST_DIVIDED = 32
-"""Fewest cosines of a segment for which contrasts are divided into antisymmetric and symmetric
-contrasts. With fewer cosines, two small matrices take as much time as one matrix."""
+"""Fewest contrasts of a segment, apart from the line in time, that are divided into antisymmetric
+and symmetric contrasts. With fewer contrasts, the computation with two small covariance matrices
+takes as much time as the computation with one large matrix."""
 
 SETTLED = 5.0
 """Time, in time constants, after which a settling has ended: 0.7 % of its size is left."""
 
 LARGEST_SETTLING_SHARE = 0.99
-"""Largest share of the power of a bin that is regarded as the power of a settling. The larger this
-share is, the less weight the bin has in the fit."""
+"""Largest share that a settling is assumed to have in the power of a bin. The larger the share of
+the settling is, the less weight the bin has in the fit."""
 
 MOST_LENGTHS = 8
 """Largest number of different segment lengths for which whole segments are used. If there are more
@@ -110,13 +112,14 @@ lengths, segments are divided into pieces of a few lengths."""
 
 @lru_cache
 def _kernels() -> tuple[Floats, Floats]:
-    """Return the matrices, (bins, lags), that turn gamma(M, lags) into the expected power.
+    """Return the matrices, (bins, lags), that turn autocovariances into the expected power.
 
-    The first matrix is for all octaves of samples together, the second for one octave of means.
+    The autocovariances are gamma(M, j) (`Process.gamma`) at the lags j = 0, 1, ... The first matrix
+    is for all octaves of samples together, the second for one octave of means.
     """
 
-    def kernel(o: int) -> Floats:
-        _, size, bins = octave(o)
+    def kernel(index: int) -> Floats:
+        _, size, bins = octave(index)
         a = tapers(size, bins)
         r = np.fft.ifft(np.abs(np.fft.fft(a, 2 * size)) ** 2).real[:, :size]
         r[:, 1:] *= 2.0
@@ -146,12 +149,12 @@ def _power_of(gamma: Gamma, octaves: int) -> Floats:
 
 @lru_cache(maxsize=64)
 def contrasts(size: Size) -> Floats:
-    """Return the weights of block means in each contrast, (points, `Size.lines` + high).
+    """Return the weights of block means in each contrast, (points, contrasts).
 
-    The columns are a line in time, unless all weights are symmetric, and cosines of 1, 2, ... half
-    periods. Antisymmetric cosines have an odd number of half periods, symmetric cosines an even
-    number. The columns are made orthonormal, and orthogonal to a constant and to the settling, if
-    there is one.
+    The columns are a line in time, unless all weights are symmetric, and `Size.high` cosines of 1,
+    2, ... half periods. Antisymmetric cosines have an odd number of half periods, symmetric cosines
+    an even number. The columns are made orthonormal, and orthogonal to a constant and to the
+    settling, if there is one.
     """
     points, high, decay, symmetry = size
     t = np.arange(points)
@@ -213,20 +216,22 @@ def _covariances_of(gamma: Gamma, step: int, sizes: Sizes) -> list[Floats]:
 
 
 class Group(NamedTuple):
-    """Contrasts z of the block means of all segments of one size."""
+    """Contrasts of the block means of all segments of one size."""
 
     size: Size
     segments: int  # number of segments
-    sums: Floats  # (axes, contrasts) sum of the contrasts z over the segments
-    # (axes, contrasts, contrasts) outer product of z with itself, summed over the segments
+    sums: Floats  # (axes, contrasts) sum of the contrasts over the segments
+
+    # (axes, contrasts, contrasts) sum over the segments of z z^T, where z are the contrasts of a
+    # segment
     gram: Floats
 
     @classmethod
     def of(cls, size: Size, pieces: Floats) -> Group:
-        """Return the contrasts of the block means of segments of one size.
+        """Return the group of all segments of one size, computed from their block means.
 
-        ``size`` are the numbers that determine the contrasts. ``pieces`` are the block means,
-        (segments, axes, points), in the unit of the samples.
+        ``size`` determines the weights of the block means (`contrasts`). ``pieces`` are the block
+        means, (segments, axes, points), in the unit of the samples.
         """
         z = pieces @ contrasts(size)
         return cls(size, len(pieces), z.sum(0), np.einsum('sai,saj->aij', z, z))
@@ -300,7 +305,7 @@ class Statistics:
 
     @cached_property
     def white(self) -> list[Column]:
-        """Expectation for unit white noise for each axis, with the effect of replaced samples.
+        """Expected statistics, for each axis, of unit white noise in which samples were replaced.
 
         A spectral block is excluded from the sums if a share of more than `MAX_INTERPOLATED` is
         replaced. If a replaced stretch is longer than this share of a block, only its two ends

@@ -50,8 +50,9 @@ LONGEST_PAUSE_S = 120.0
 two blocks last longer than this time, the limit is the duration of two blocks."""
 
 SLOW = 2.0
-"""Least correlation time, or half period, in blocks, of a process that may be an effect of the
-temperature, and is therefore omitted. Faster processes have known coefficients."""
+"""Correlation time of a process, or half of the period of a sinusoid, in blocks. From this time on,
+the process is omitted from the noise of the block means, because it may be an effect of the
+temperature. The coefficients of faster processes are taken from the fit of all data."""
 
 NOISE: tuple[Process, ...] = (White(), Flicker(), RandomWalk())
 """Terms in the noise of the block means: the first processes of each fit in this module."""
@@ -126,7 +127,7 @@ def temperature_models(
     if range_k < LEAST_RANGE_K:
         return {}, []
     least_return = LEAST_RETURN * range_k
-    if not any(_returns(blocks.celsius[part], least_return) for part in blocks.parts):
+    if not any(_rises_and_falls(blocks.celsius[part], least_return) for part in blocks.parts):
         return {}, [finding('temperature_one_way', range=range_k)]
     difference, rate = blocks.celsius - blocks.reference, blocks.rate
     mean_rate = float(np.abs(rate).mean())
@@ -173,7 +174,7 @@ def _blocks(sums: AllanSums, time_ns: Ints, celsius: Floats) -> _TemperatureBloc
     )
 
 
-def _returns(celsius: Floats, least: float) -> bool:
+def _rises_and_falls(celsius: Floats, least: float) -> bool:
     """Return whether the temperature rises and also falls by at least ``least``, in K."""
     rise = np.max(celsius - np.minimum.accumulate(celsius))
     fall = np.max(np.maximum.accumulate(celsius) - celsius)

@@ -84,7 +84,7 @@ class Model:
         Processes with their coefficients in SI, the terms Q, N, B, K and R first. The coefficient
         of a Gauss-Markov process or a resonance is its standard deviation (sigma), and the
         coefficient of a sinusoid its amplitude. A process that replaces Q or K has the coefficient
-        of this term. The coefficient of a low-pass filter is q in the squared unit of the samples
+        of this term. The coefficient of a low-pass filter is in the squared unit of the samples
         times s^2, and may be negative.
     covariance : Covariance or None
         Covariance of the fitted coefficients; None if it is unknown.
@@ -131,7 +131,7 @@ class Model:
     def changed(self, **terms: float) -> Model:
         """Return the model with other coefficients of some terms (``N=1e-3``), in SI.
 
-        Processes other than the five terms and the covariance are unchanged.
+        The covariance, and the processes other than the five terms, are unchanged.
 
         Raises
         ------

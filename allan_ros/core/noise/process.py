@@ -60,13 +60,13 @@ a bin at the lower end of an octave of the spectra."""
 
 
 class States(NamedTuple):
-    """Linear system x' = A x + v with white noise v, whose output c'x is the process.
+    """Linear system dx/dt = A x + v with white noise v and the output c^T x.
 
-    The coefficient of the process is 1.
+    The output is the process with the coefficient 1.
     """
 
     dynamics: Floats  # matrix A, (states, states), per unit of time
-    noise: Floats  # two-sided power spectral density of v, (states, states)
+    noise: Floats  # two-sided power spectral density of the white noise v, (states, states)
     output: Floats  # vector c, (states,)
     initial: Floats  # covariance of x at the start, (states, states); a random walk starts from 0
 
@@ -195,7 +195,7 @@ class Process:
     def is_drift(self) -> bool:
         """Whether the integral of the process grows with time, or the process is a slow sinusoid.
 
-        A resonance is no drift, although its integral grows: `density_at_zero` describes this. The
+        A resonance is not drift, although its integral grows: `density_at_zero` describes this. The
         shape must be in s and Hz, because sinusoids of up to `SLOW_SINUSOID_HZ` are slow.
         """
         return True

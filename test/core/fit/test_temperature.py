@@ -15,7 +15,7 @@ from allan_ros.core.allan.running import RunningSums
 from allan_ros.core.allan.sums import AllanSums
 from allan_ros.core.fit.result import TemperatureModel
 from allan_ros.core.fit.stationary import fit_likelihood
-from allan_ros.core.fit.temperature import _returns, temperature_models
+from allan_ros.core.fit.temperature import _rises_and_falls, temperature_models
 from allan_ros.core.imu import AXES, from_datasheet
 from allan_ros.core.noise import Model
 from allan_ros.core.simulator import simulate_axis
@@ -172,5 +172,5 @@ def test_an_axis_without_white_noise_has_no_model() -> None:
 
 def test_a_small_return_is_none() -> None:
     wave = np.array([0.0, 1.0, 2.0, 1.75, 2.5])
-    assert _returns(wave, 0.25) and not _returns(wave, 0.26)
-    assert _returns(-wave, 0.25) and not _returns(np.arange(5.0), 0.1)
+    assert _rises_and_falls(wave, 0.25) and not _rises_and_falls(wave, 0.26)
+    assert _rises_and_falls(-wave, 0.25) and not _rises_and_falls(np.arange(5.0), 0.1)

@@ -18,7 +18,8 @@ class Ramp(Process):
 
     A weighted sum of means at the times t_i, with weights w_i whose sum is 0, has the square
     (sum w_i t_i)^2 = - sum w_i w_j (t_i - t_j)^2 / 2. This square has the form of the variance of
-    such a sum for a random process. A ramp therefore has a gamma, too.
+    such a sum for a random process. A ramp therefore has an autocovariance (`gamma`), like a random
+    process.
     """
 
     name = 'ramp'

@@ -19,7 +19,7 @@ NEGLIGIBLE_EXPONENT = 39.0
 
 LEAST_DECAY = 1e-4
 """Smallest value of 1/T, where T is the correlation time in samples. This value limits the number
-of terms of the series."""
+of terms in the series of the autocovariance (`RoundedAngle`)."""
 
 
 @dataclass(frozen=True)
