@@ -120,11 +120,12 @@ def recordings_in(path: str, files_are_units: bool = False) -> list[str]:
     """Return the paths of the recordings in a folder, or only ``path`` if it is one recording.
 
     A folder is one recording if it has a metadata.yaml, or if the only recording in it is a bag of
-    one file or of numbered files. With ``files_are_units``, numbered files without metadata.yaml
-    are separate recordings. A subfolder is a recording if it contains a metadata.yaml or files of a
-    bag. If a folder contains folders of analyses and no recording, the paths of these folders are
-    returned. A folder that is itself the result of an analysis, or contains nothing to read, is
-    returned as it is, too. The paths are sorted, with the folders of bags before the files.
+    one .mcap or .db3 file, or of numbered files of these formats. With ``files_are_units``,
+    numbered files without metadata.yaml are separate recordings. A subfolder is a recording if it
+    contains a metadata.yaml or files of a bag. If a folder contains folders of analyses and no
+    recording, the paths of these folders are returned. A folder that is itself the result of an
+    analysis, or contains nothing to read, is returned as it is, too. The paths are sorted, with the
+    folders of bags before the files.
     """
     folder = Path(path)
     if not folder.is_dir() or (folder / METADATA).exists() or is_document(folder):
@@ -148,10 +149,11 @@ def _contains_a_bag(path: Path) -> bool:
 
 
 def _is_one_bag(files: Sequence[Path], files_are_units: bool) -> bool:
-    """Return whether the files are all parts of one bag without metadata.yaml.
+    """Return whether the names of the files suggest that together they are one bag.
 
-    With ``files_are_units``, only a single file counts as one bag. Returns True if there are no
-    files.
+    The suffix of each file must be in `STORAGES`. Several files must be named NAME_0, NAME_1 and so
+    on, without a missing number; with ``files_are_units``, they are never one bag. Returns True if
+    there are no files.
     """
     if not all(file.suffix in STORAGES for file in files):
         return False

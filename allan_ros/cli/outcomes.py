@@ -36,8 +36,8 @@ EXIT_FAILED, EXIT_UNJUDGED = int(Decision.EXCEEDS), int(Decision.NOT_JUDGED)
 class BatchItem:
     """One unit (IMU) of a batch: its name in the summary, and the jobs that read its recordings.
 
-    ``short`` is a shorter unique name, after which the folder of the unit is named; '' if the
-    folder is named after ``name``.
+    ``short`` is another unique name, after which the folder of the unit is named; '' if the folder
+    is named after ``name``.
     """
 
     name: str

@@ -57,9 +57,9 @@ from .node_settings import EstimatorSettings, home_of
 from .shell import LATCHED, Worker
 
 FIT_SHARE = 0.05
-"""Largest share of one CPU core that the fits of one IMU should use. The share determines the pause
-after a fit. There is no pause before a fit that the service requests or that follows an
-invalidation. The pause after a slow fit is shorter (`LONGEST_WAIT_S`)."""
+"""Largest share of one CPU core that the fits of one IMU should use. This share and the duration of
+a fit determine the pause after the fit, which is at most `LONGEST_WAIT_S`. A fit that the service
+requests, or that follows an invalidation, starts without a pause."""
 
 LONGEST_WAIT_S = 20.0
 """Longest pause in s after a fit. After a slow fit, this pause is kept, although fits then use more
@@ -77,11 +77,11 @@ class ImuEstimate(NodePart):
 
     If more than `REPLACED_SHARE` of the samples are removed from the Allan sums, an existing model
     is invalidated: a noise model without axes is published, the statuses show a warning instead of
-    the coefficients, and the sums are fitted again as soon as there are any. ``listeners`` are
-    called with every published noise model, and again with the present bias at rest when new sums
-    arrive. ``worker`` runs the fits, and ``label`` is the label of the IMU. Raises AllanError if
-    the file in the parameter ``estimator.sensor`` or ``estimator.baseline`` cannot be read or is
-    invalid.
+    the coefficients, and the sums are fitted again as soon as there are any. Each of the
+    ``listeners`` is called with the noise model and the present bias at rest when a model is
+    published, and again when new sums arrive while there is a model. ``worker`` runs the fits, and
+    ``label`` is the label of the IMU. Raises AllanError if the file in the parameter
+    ``estimator.sensor`` or ``estimator.baseline`` cannot be read or is invalid.
     """
 
     def __init__(
@@ -250,16 +250,16 @@ class ImuEstimate(NodePart):
     def _has_changed(self, sums: tuple[AllanSums, ...]) -> bool:
         """Return whether the number of samples of a sensor has changed enough since the last fit.
 
-        The number must have grown by the fraction ``estimator.growth``, or decreased.
+        The number must have grown by the fraction ``estimator.growth``, or decreased, but not to 0.
         """
         growth = 1.0 + self._settings.value.growth
         fitted_samples = {s.axes: s.samples for s in self._fitted}
 
-        def changed(s: AllanSums) -> bool:
-            fitted = fitted_samples.get(s.axes, 0)
-            return s.samples > 0 and not fitted <= s.samples < growth * fitted
+        def is_changed(sensor_sums: AllanSums) -> bool:
+            samples, fitted = sensor_sums.samples, fitted_samples.get(sensor_sums.axes, 0)
+            return samples > 0 and not fitted <= samples < growth * fitted
 
-        return any(map(changed, sums))
+        return any(map(is_changed, sums))
 
     def _are_new(self, drives: Drives) -> bool:
         """Return whether the drives differ from the drives of the present factors in motion.

@@ -211,7 +211,10 @@ class ImuInput:
             self._thread.start()
 
     def drain(self) -> None:
-        """Fetch the messages that are in the queue; do nothing unless the input is ``polled``."""
+        """Fetch at most `QUEUE_DEPTH` messages from the queue, if the input is ``polled``.
+
+        When the buffer of fetched messages is full, further messages stay in the queue.
+        """
         if self.polled:
             with self._lock:
                 self._take_all()
@@ -231,7 +234,7 @@ class ImuInput:
             wait_s = min(FETCH_S, FETCH_SHARE * QUEUE_DEPTH / max(rate, 1.0))
 
     def _take_all(self) -> None:
-        """Move the messages of the queue to the buffer, unless the buffer is full."""
+        """Move up to `QUEUE_DEPTH` messages from the queue to the buffer, while it has space."""
         # The queue may still contain messages of a publisher that has left since the last call.
         count = self._node.count_publishers(self.topic)
         self._has_one_publisher = max(count, self._publisher_count) <= 1
@@ -349,7 +352,7 @@ class ImuInput:
         self._loss = None
 
     def _collect(self, payload: bytes, info: dict[str, Any] | None = None) -> None:
-        """Store one message; count the missing messages before it if numbers show them."""
+        """Store one message; if it has a sequence number, count the messages missing before it."""
         buffer = self._buffer
         buffer.payloads.append(payload)
         buffer.size += len(payload) + MESSAGE_BYTES
@@ -379,7 +382,10 @@ def steady_s() -> float:
 
 
 def full_name(endpoint: Any) -> str:
-    """Return the full name of the node that owns a publisher or subscriber, for messages."""
+    """Return the full name of the node that owns a publisher or subscriber, as text for messages.
+
+    Returns 'an unnamed node' if the ROS graph does not know the name.
+    """
     if endpoint.node_name == NAMELESS:
         return 'an unnamed node'
     return one_line(f'{endpoint.node_namespace.rstrip("/")}/{endpoint.node_name}')

@@ -252,7 +252,7 @@ class PushSettings(CheckedSettings):
     )
     period: float = parameter(
         300.0,
-        'Shortest time between two changes of parameters; found values are restored at once.',
+        'Shortest time between two changes of parameters; former values are restored at once.',
         's',
         0.1,
         604800.0,

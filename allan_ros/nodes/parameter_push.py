@@ -118,7 +118,7 @@ class ParameterPush(NodePart):
         self._was_killed = False  # whether values of an earlier program must be restored
         if target:
             self._set = owner.create_client(SetParameters, f'{target}/set_parameters')
-            # created last, because a node that answers this client has discovered the other, too
+            # created last: a node that answers this client has also discovered the client above
             self._get = owner.create_client(GetParameters, f'{target}/get_parameters')
 
     def offer(self, results: Results, bias: Mapping[str, Estimate]) -> None:
@@ -135,7 +135,7 @@ class ParameterPush(NodePart):
 
     @property
     def _refusal(self) -> str:
-        """Why no value may be set and the found values are restored; '' if values may be set."""
+        """Why no value may be set and former values are restored; '' if values may be set."""
         if self._was_killed:
             return KILLED
         return self._invalid if self._settings.value.enabled else 'push.enabled is false'
@@ -198,9 +198,9 @@ class ParameterPush(NodePart):
         return [status]
 
     def close(self) -> None:
-        """Restore the found values, because no program would restore them until the next start.
+        """Restore the former values of the parameters that this node has set, and stop.
 
-        If the other node offers its services but does not answer, the found values are sent
+        If the other node offers its services but does not answer, the former values are sent
         although the present values could not be read. The file of `FormerValues` keeps values that
         do not arrive.
         """
@@ -420,7 +420,7 @@ class ParameterPush(NodePart):
         return True
 
     def _forget_unsent(self) -> None:
-        """Forget the former value of each parameter that has its former value at present."""
+        """Forget the stored former value of each parameter whose present value is equal to it."""
         for held in self._held.values():
             if held.now == held.found:
                 held.found = ()

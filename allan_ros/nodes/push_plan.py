@@ -112,7 +112,10 @@ class Proposal:
         return not all(abs(v - c) <= CHANGE * abs(c) for v, c in zip(self.values, other))
 
     def keeps(self, found: Numbers) -> str:
-        """Return why the found gain in the node is kept; '' if this value replaces the gain."""
+        """Return why the gain ``found``, which the node had before, is kept.
+
+        Returns '' if there is no such reason.
+        """
         if not self.is_gain or len(found) != 1 or not self.values[0] <= RAISE_RATIO * found[0]:
             return ''
         return (
@@ -121,7 +124,11 @@ class Proposal:
         )
 
     def refusal(self, found: Numbers, factor: float) -> str:
-        """Return why this value must not replace the found value; '' if replacing is allowed."""
+        """Return why this proposal must not replace ``found``, the value that the node had before.
+
+        ``factor`` is the largest allowed ratio of the two values. Returns '' if the proposal may
+        replace ``found``.
+        """
         if len(found) != len(self.values):
             return f'has {len(found)} numbers in the node, but the model gives {len(self.values)}'
         for value, present in zip(self.values, found):

@@ -54,8 +54,8 @@ class Survey:
 
     topics: dict[TopicKey, Topic] = field(default_factory=dict)
     counts: Counter[TopicKey] = field(default_factory=Counter)
-    # truncation of the first truncated file; None if no file is truncated, or metadata.yaml states
-    # Imu messages
+    # truncation of the first truncated file; None if no file is truncated, or if the files were not
+    # checked, because metadata.yaml states more than 0 Imu messages
     truncation: Truncation | None = None
 
     def listed(self, keys: Iterable[TopicKey]) -> str:
@@ -137,21 +137,21 @@ class Bag:
         number is used for each topic. Raises AllanError when a file that is opened is missing,
         damaged, or not a bag; the first file is always opened.
         """
-        described = self.described or Survey()
-        survey = Survey(described.topics.copy(), described.counts.copy())
+        metadata = self.described or Survey()
+        survey = Survey(metadata.topics.copy(), metadata.counts.copy())
         self.storage(self.files[0])
         if any(key[1] == IMU_TYPE and count for key, count in survey.counts.items()):
             return survey
-        counted: Counter[TopicKey] = Counter()
+        counts_of_files: Counter[TopicKey] = Counter()
         for file in self.files:
             storage = self.storage(file)
-            counts = storage.counts()
+            file_counts = storage.counts()
             for topic in storage.topics:
                 key = (topic.name, topic.type)
                 survey.topics.setdefault(key, topic)
-                counted[key] += counts.get(topic.id, 0)
+                counts_of_files[key] += file_counts.get(topic.id, 0)
             survey.truncation = survey.truncation or storage.truncation
-        survey.counts |= counted
+        survey.counts |= counts_of_files
         return survey
 
 
@@ -167,7 +167,7 @@ def bag_of(path: Path) -> Bag:
         files, described = _read_metadata(path) if os.path.lexists(path / METADATA) else ((), None)
         if not files:
             splits = [child for child in path.iterdir() if child.name.endswith(BAG_SUFFIXES)]
-            files = tuple(sorted(splits, key=_natural))
+            files = tuple(sorted(splits, key=_number_sort_key))
         if not files:
             raise _no_bag_in(path)
         for file in files:
@@ -175,7 +175,7 @@ def bag_of(path: Path) -> Bag:
         return Bag(path, files, described)
 
 
-def _natural(path: Path) -> list[tuple[int, str]]:
+def _number_sort_key(path: Path) -> list[tuple[int, str]]:
     """Return a key that sorts file names by the numbers in them: 10 comes after 9."""
     parts = re.split(r'(\d+)', path.name)
     return [(int(part), '') if part.isdecimal() else (-1, part) for part in parts]

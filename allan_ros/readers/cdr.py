@@ -380,9 +380,11 @@ class CovariancePatch:
         }
 
     def patch(self, payload: bytes) -> bytes:
-        """Return the message with the given variances; ``payload`` itself if none may be written.
+        """Return an Imu message that has the ``variances`` of this object in its covariances.
 
-        Raises MalformedMessage when the payload cannot be an Imu message in plain CDR.
+        Covariances that must not be changed are kept. Returns ``payload`` itself if no covariance
+        may be changed. Raises MalformedMessage when the payload cannot be an Imu message in plain
+        CDR.
         """
         order, _, offsets, frame = _layout_of(payload)
         if self._frame and payload[frame].rstrip(b'\0') != self._frame:

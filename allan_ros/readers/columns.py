@@ -398,7 +398,7 @@ def _group(name: str) -> str:
 
 
 def _meaning(name: str) -> Meaning:
-    """Return what a column contains, from the end of its name.
+    """Return what a column contains (its kind, axis and unit) according to its name.
 
     Examples
     --------

@@ -65,8 +65,8 @@ FOOTER_BYTES = RECORD_HEAD.size + FIXED_BYTES[FOOTER] + len(MCAP_MAGIC)
 """Number of bytes of the footer and the magic after it, at the end of a file."""
 
 LOOSE_BYTES = 1 << 20
-"""Adjacent messages outside chunks are read together, as a sequence of at least this length in
-bytes if there are enough of them. The next message starts another sequence."""
+"""Adjacent messages outside chunks are read together, as one sequence. When a sequence has at least
+this number of bytes, the next message starts another sequence."""
 
 MAX_SORT_BYTES = 512 * 2**20
 """Largest size in bytes of the messages that are kept in memory to sort overlapping chunks."""
@@ -143,7 +143,7 @@ class Contents:
 
 
 class McapStorage:
-    """An open mcap file; error messages name it ``path``.
+    """An open mcap file; ``path`` is its path in error messages.
 
     Raises AllanError when the file is not an mcap file or a chunk is damaged, and one of `DAMAGE`
     for other damage.
@@ -181,18 +181,19 @@ class McapStorage:
         """Return topic id -> number of messages, as stated in the summary or as counted."""
         return dict(self._contents.counted)
 
-    def stated(self, ids: set[int], read: int) -> int:
+    def stated_count(self, ids: set[int], read_count: int) -> int:
         """Return how many messages of the topics ``ids`` the file states in its Statistics record.
 
         Without such a record, the number of messages or of index entries that were found when the
         file was opened is used, whichever is larger. If none were found of any topic, the result is
-        ``read``, the number of messages that were read. If the file is truncated, the result is at
-        least ``read``.
+        ``read_count``, the number of messages that were read. If the file is truncated, the result
+        is at least ``read_count``.
         """
         if not self._contents.stated:
-            return read
-        stated = sum(self._contents.stated[channel] for channel in ids)
-        return max(stated, read) if self.truncation else stated  # the index may be truncated, too
+            return read_count
+        count = sum(self._contents.stated[channel] for channel in ids)
+        # the index of a truncated file may be truncated, too
+        return max(count, read_count) if self.truncation else count
 
     def blocks(self, ids: set[int]) -> Iterator[Messages]:
         """Yield all messages of the topics ``ids`` in blocks, in the order of record time."""
@@ -371,7 +372,7 @@ def _text(data: bytes, at: int) -> tuple[str, int]:
 def open_storage(path: Path, shown: Path) -> Iterator[McapStorage]:
     """Open an mcap file for reading.
 
-    Error messages name the file ``shown``, because ``path`` may be a decompressed copy. Raises
+    ``shown`` is the path in error messages, because ``path`` may be a decompressed copy. Raises
     AllanError when the file is of another format or damaged.
     """
     with translated(shown, DAMAGE, REMEDY):

@@ -31,7 +31,7 @@ REMEDY = 'copy it again, or repair it with "rosbag reindex" or "rosbag fix"'
 class Ros1Storage:
     """A ROS 1 bag that is open in ``reader``, an object of the package ``rosbags``.
 
-    Error messages name the bag ``path``.
+    ``path`` is the path of the bag in error messages.
     """
 
     truncation: Truncation | None = None
@@ -45,15 +45,15 @@ class Ros1Storage:
         """Return topic id -> number of messages in the bag."""
         return {connection.id: connection.msgcount for connection in self._reader.connections}
 
-    def stated(self, ids: set[int], read: int) -> int:
+    def stated_count(self, ids: set[int], read_count: int) -> int:
         """Return the number of messages of the topics ``ids`` according to the list of chunks.
 
-        ``read``, the number of messages that were read, is not used.
+        ``read_count``, the number of messages that were read, is not used.
         """
-        stated: Counter[int] = Counter()
+        counts: Counter[int] = Counter()
         for chunk in self._reader.chunk_infos:
-            stated.update(chunk.connection_counts)
-        return sum(stated[topic_id] for topic_id in ids)
+            counts.update(chunk.connection_counts)
+        return sum(counts[topic_id] for topic_id in ids)
 
     def blocks(self, ids: set[int]) -> Iterator[Messages]:
         """Yield all messages of the topics ``ids`` in blocks, in the order of record time."""
@@ -69,7 +69,7 @@ class Ros1Storage:
 def open_storage(path: Path, shown: Path) -> Iterator[Ros1Storage]:
     """Open a ROS 1 bag for reading.
 
-    Error messages name the bag ``shown``, because ``path`` may be a decompressed copy. Raises
+    ``shown`` is the path in error messages, because ``path`` may be a decompressed copy. Raises
     AllanError when the bag is of another version or damaged, or the package ``rosbags`` is missing.
     """
     with path.open('rb') as file:

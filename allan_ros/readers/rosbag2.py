@@ -210,7 +210,7 @@ class _Reader:
                 samples_of_file += len(batch)
                 yield self.options.in_si(batch)
             if key not in stated_counts:
-                stated_count = storage.stated(_ids(storage, self.topic), samples_of_file)
+                stated_count = storage.stated_count(_ids(storage, self.topic), samples_of_file)
                 _compare(stated_count, samples_of_file, file, report)
             total += samples_of_file
         bag.close()

@@ -32,7 +32,7 @@ REMEDY = 'copy it again, or repair it with "sqlite3 FILE .recover"'
 
 
 class Sqlite3Storage:
-    """An open .db3 file; error messages name it ``path``."""
+    """An open .db3 file; ``path`` is its path in error messages."""
 
     def __init__(self, path: Path, connection: sqlite3.Connection, size: int | None) -> None:
         """Read the topics through an open ``connection`` to a database file of ``size`` bytes.
@@ -73,13 +73,14 @@ class Sqlite3Storage:
                 )
         return self._counts
 
-    def stated(self, ids: set[int], read: int) -> int:
+    def stated_count(self, ids: set[int], read_count: int) -> int:
         """Return the number of messages of the topics ``ids`` in the table.
 
         `blocks` finds the messages by the index on the record times, which can lack rows of the
-        table if the file is damaged. ``read``, the number of messages that were read, is not used.
+        table if the file is damaged. ``read_count``, the number of messages that were read, is not
+        used.
         """
-        return sum(self.counts().get(number, 0) for number in ids)
+        return sum(self.counts().get(topic_id, 0) for topic_id in ids)
 
     def blocks(self, ids: set[int]) -> Iterator[Messages]:
         """Yield all messages of the topics ``ids`` in blocks, in the order of record time."""
@@ -117,7 +118,7 @@ def _listed(ids: set[int]) -> str:
 def open_storage(path: Path, shown: Path) -> Iterator[Sqlite3Storage]:
     """Open a .db3 file for reading; no file is created next to it.
 
-    Error messages name the file ``shown``, because ``path`` may be a decompressed copy. Raises
+    ``shown`` is the path in error messages, because ``path`` may be a decompressed copy. Raises
     AllanError when the file is not a rosbag2 database, or is damaged.
     """
     # If the recorder was killed, a write-ahead log contains the last messages. Without a log, the

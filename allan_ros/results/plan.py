@@ -27,10 +27,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+import yaml
 
 from ..core.allan.at_rest import AtRest
 from ..core.check import MARGIN, Check, check_limits
-from ..core.errors import AllanError
+from ..core.errors import AllanError, one_line
 from ..core.estimate import UNKNOWN, Estimate
 from ..core.fields import Fields, located
 from ..core.imu import (
@@ -383,18 +384,21 @@ def _direction(fields: Fields) -> tuple[float, float, float]:
 
 
 def plan_text(sheet: Datasheet) -> str:
-    """Return a test plan as YAML text, whose limits of N and B follow from a datasheet.
+    """Return a test plan as YAML text, with limits of N and B that follow from a datasheet.
 
-    The upper limits exceed the figures by the fraction `MARGIN`. The plan also has usual limits for
-    gravity and for the share of used samples. Limits that the user must state, such as the sample
-    rate, are comments.
+    The upper limits are `Datasheet.limits`, increased by the fraction `MARGIN`. The lower limits of
+    N are `Datasheet.limits` divided by `BELOW`. All these limits are rounded to three digits. The
+    plan also has usual limits for gravity and for the share of used samples. Limits that the user
+    must state, such as the sample rate, are comments.
     """
     lines = [
-        f'# Test plan from the datasheet of {sheet.name}.',
-        f'# Upper limits: typical figures plus {100.0 * MARGIN:.0f} %. Lower limit of N: a third',
-        '# of the typical N. A smaller N is due to a wrong unit of measurement or low-pass filter.',
+        f'# Test plan from the datasheet of {one_line(sheet.name)}.',
+        '# Upper limits: limits that follow from the figures in the datasheet, plus '
+        f'{100.0 * MARGIN:.0f} %.',
+        '# Lower limit of N: a third of the limit that follows from the datasheet. A smaller N is',
+        '# due to a wrong unit of measurement or a low-pass filter.',
         f'schema: {SCHEMA}',
-        f'name: {sheet.name}',
+        yaml.safe_dump({'name': sheet.name}, allow_unicode=True, width=10**6).rstrip(),
     ]
     for sensor, where in SENSORS.items():
         stated_axes = [axis for axis in AXES[where] if axis in sheet.limits]
@@ -407,9 +411,9 @@ def plan_text(sheet: Datasheet) -> str:
             lines.append(f'{name}:')
             for term, limit in sheet.limits[axis].items():
                 unit = DATASHEET_UNITS[sensor][term]
-                typical = limit.value / UNITS[unit].factor
-                lower = f'lower: {typical / BELOW:.3g}, ' if term == 'N' else ''
-                upper = f'upper: {typical * (1.0 + MARGIN):.3g}'
+                number = limit.value / UNITS[unit].factor
+                lower = f'lower: {number / BELOW:.3g}, ' if term == 'N' else ''
+                upper = f'upper: {number * (1.0 + MARGIN):.3g}'
                 lines.append(f'  {term}: {{{lower}{upper}, unit: {unit}}}')
     return '\n'.join([*lines, *TO_COMPLETE, ''])
 

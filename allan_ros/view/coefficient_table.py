@@ -44,8 +44,8 @@ def coefficient_table(
         The terms that are shown.
     prefixes : bool
         Whether a unit with the prefix u or m, such as ug, gets a larger prefix or none if the
-        largest value or upper limit of its row is large enough (`prefixed`). Other units, such as
-        deg/h, are unchanged.
+        largest magnitude or upper limit of its row is large enough (`prefixed`). Other units, such
+        as deg/h, are unchanged.
     """
     sensor = sensor_of(next(iter(axes)))
     rows = []

@@ -297,7 +297,7 @@ def inflation_table(inflation: Inflation) -> Table:
     """Return a table of the N and K to use with motors on, in SI, with a row for each axis.
 
     Each of these coefficients is the larger of its values with motors off and on. The column after
-    it contains the factor by which the motors increase the coefficient.
+    it contains the factor, at least 1, by which the motors increase the coefficient.
     """
     rows = []
     for axis, terms in inflation.axes.items():

@@ -149,7 +149,7 @@ def _files_in(folder: Path, results: Results, overwrite: bool) -> set[str]:
 
 
 def _names(sources: Sequence[tuple[str, str]]) -> list[str]:
-    """Return the sorted texts 'file name topic' of the sources, given their paths and topics."""
+    """Return the file name and the topic of each source (path, topic), as sorted texts."""
     return sorted(one_line(f'{Path(path).name} {topic}'.strip()) for path, topic in sources)
 
 

@@ -37,9 +37,9 @@ def limits_text(limits: Limits) -> str:
 
 
 def measured_text(measured: Estimate, limits: Limits) -> str:
-    """Return a measured quantity as text in the unit of the limits, such as '< 3.2 deg/h'.
+    """Return a measured quantity as text in the unit of the limits, such as '< 3.20 deg/h'.
 
-    The text is '-' if the quantity is unknown.
+    The text is '-' if neither a value nor an upper limit is known.
     """
     number = _number_text(measured, limits)
     return f'{number} {limits.unit}' if limits.unit and number != NOTHING_KNOWN else number

@@ -193,9 +193,9 @@ def _steps(results: Results, comparisons: Sequence[Check]) -> Iterator[str]:
 
 
 def datasheet_title(results: Results) -> str:
-    """Return which limits the coefficients are compared with: the datasheet and the margin.
+    """Return a text that names the limits of the coefficients: 'the datasheet of X plus 20 %'.
 
-    The results must have a datasheet.
+    The results must have a datasheet. A margin of 0 is not named.
     """
     assert results.datasheet is not None
     margin = f' plus {100.0 * results.margin:.3g} %' if results.margin else ''
@@ -255,13 +255,15 @@ SHOWN_UNUSED_SHARE = 0.01
 def used_samples(results: Results) -> str:
     """Return the number of used samples as text, such as '60,000 samples'.
 
-    If more than `SHOWN_UNUSED_SHARE` of the samples of a single topic are unused, the text also
-    states the number of received samples: '737,856 of 1,000,000 samples'.
+    If more than `SHOWN_UNUSED_SHARE` of the received samples are unused, the text also states the
+    number of received samples: '737,856 of 1,000,000 samples'. This number is omitted if more than
+    `SHOWN_UNUSED_SHARE` of the samples in ``counts.used`` are not among the used samples, because a
+    second sensor stream contains them or the fit excludes them.
     """
     used, counts = results.samples, results.provenance.counts
-    # with two topics, the counts are for both topics, but `used` is for one topic
-    has_two_topics = used < (1.0 - SHOWN_UNUSED_SHARE) * counts.used
-    shows_total = not has_two_topics and used < (1.0 - SHOWN_UNUSED_SHARE) * counts.received
+    least_used_share = 1.0 - SHOWN_UNUSED_SHARE
+    counts_contain_others = used < least_used_share * counts.used
+    shows_total = not counts_contain_others and used < least_used_share * counts.received
     total = f' of {counts.received:,}' if shows_total else ''
     return f'{used:,}{total} samples'
 

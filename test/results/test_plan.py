@@ -15,6 +15,7 @@ import pytest
 import allan_ros as ar
 from allan_ros.core.errors import AllanError
 from allan_ros.core.imu import AXES
+from allan_ros.readers.files import parse_yaml
 from allan_ros.results.datasheets import sensor_names
 from allan_ros.results.plan import (
     AXIS_UNITS,
@@ -197,6 +198,17 @@ def test_each_datasheet_gives_a_plan(name: str) -> None:
     uncommented = uncommented.replace('# duration:', 'duration:').replace('# temp', 'temp')
     known = plan_from_document(yaml.safe_load(uncommented), name)
     assert set(known.whole) == set(IMU_UNITS)
+
+
+@pytest.mark.parametrize(
+    'name',
+    ['IMU: v2', '- x', '[a', '123', 'A #3', 'null', "it's", 'two\nlines', '\u00b5 ' * 60],
+)
+def test_a_plan_has_the_name_of_its_datasheet(name: str) -> None:
+    sheet = replace(ar.sensor('bmi088'), name=name)
+    plan = plan_from_document(parse_yaml(plan_text(sheet)), 'plan.yaml')
+    assert plan.name == name
+    assert plan.axes.keys() == set(AXES)
 
 
 @pytest.mark.parametrize(

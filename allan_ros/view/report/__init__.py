@@ -294,7 +294,7 @@ def _method(results: Results, method: Mapping[str, str]) -> Iterator[str]:
     yield f'<h3>Inputs</h3>{facts_html(inputs)}<h3>Samples</h3>{facts_html(samples)}'
     yield f'<h3>How to repeat the analysis</h3>{facts_html({**method, **versions})}'
     if provenance.settings:
-        rows = {key: _value(value) for key, value in provenance.settings.items()}
+        rows = {key: _setting_text(value) for key, value in provenance.settings.items()}
         yield f'<details><summary>All settings ({len(rows)})</summary>{facts_html(rows)}</details>'
 
 
@@ -302,7 +302,7 @@ def _segments(results: Results) -> str:
     return f'{results.segments} segment{"" if results.segments == 1 else "s"}'
 
 
-def _value(value: object) -> str:
+def _setting_text(value: object) -> str:
     if isinstance(value, (list, tuple)):
         value = ', '.join(map(str, value))
     return f'{value:g}' if isinstance(value, float) else str(value) if value != '' else '–'

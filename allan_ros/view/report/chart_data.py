@@ -59,8 +59,8 @@ def sensor_charts(results: Results, sensor: str, summary: SignalSummary | None) 
 def rounded(values: ArrayLike, digits: int = 5) -> list[float | None]:
     """Return values of any unit, (n,), rounded to ``digits`` significant digits.
 
-    NaN and infinity become None. Rounding to five digits moves a point of a chart that is not
-    enlarged by less than a tenth of a pixel.
+    NaN and infinity become None. In a chart that is not enlarged, rounding to five digits moves a
+    point by less than a tenth of a pixel.
     """
     numbers = np.asarray(values, float).tolist()
     return [float(f'{v:.{digits}g}') if math.isfinite(v) else None for v in numbers]
@@ -97,10 +97,10 @@ def _axis(name: str, axis: AxisResult, tau: Sequence[float]) -> dict[str, Any]:
         return axis_data
     positions = np.searchsorted(tau, curve.tau)
 
-    def column(values: ArrayLike) -> list[float | None]:
-        at_all_times = np.full(len(tau), np.nan)
-        at_all_times[positions] = values
-        return rounded(at_all_times)
+    def with_all_tau(values: ArrayLike) -> list[float | None]:
+        values_at_all_tau = np.full(len(tau), np.nan)
+        values_at_all_tau[positions] = values
+        return rounded(values_at_all_tau)
 
     columns = {
         'adev': curve.adev,
@@ -112,9 +112,9 @@ def _axis(name: str, axis: AxisResult, tau: Sequence[float]) -> dict[str, Any]:
     }
     return {
         **axis_data,
-        **{key: column(values) for key, values in columns.items()},
-        'parts': {part: column(adev) for part, adev in curve.parts.items()},
-        'upper': {term: column(adev) for term, adev in curve.limits.items()},
+        **{key: with_all_tau(values) for key, values in columns.items()},
+        'parts': {part: with_all_tau(adev) for part, adev in curve.parts.items()},
+        'upper': {term: with_all_tau(adev) for term, adev in curve.limits.items()},
         'read': {term: rounded(point) for term, point in curve.marks.items()},
         'unresolved': [
             t for t, c in axis.fit.noise.items() if t in curve.parts and c.status != 'estimated'
@@ -191,11 +191,12 @@ def _signal(axes: Mapping[str, AxisResult], summary: SignalSummary) -> list[dict
 
 
 def times(summary: SignalSummary | None) -> dict[str, Any] | None:
-    """Return the times of the raw signal, and bands of time to be marked; None without a signal.
+    """Return the times of the raw signal and the times to be marked; None without a signal.
 
-    A band is (start in s, end in s, kind). The kind is 'gap', or the reason in `Excluded.why` for
-    which the time is excluded, or 'other' if no reason is known. The key ``starts`` contains the
-    start of each recording after the first, in s.
+    The keys of the result are ``time`` (times of the signal in s), ``starts`` (start of each
+    recording after the first, in s) and ``bands``. A band is a marked time: (start in s, end in s,
+    kind). The kind is 'gap', the reason in `Excluded.why` for which the time is excluded, or
+    'other' if no reason is known.
     """
     if summary is None:
         return None
