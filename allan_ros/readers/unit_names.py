@@ -56,16 +56,17 @@ _SPELLINGS = {
 def plain_unit(text: str) -> str:
     """Return a unit in lower case, without spaces, dots, parentheses and the signs ^ and *.
 
-    Superscripts, the sign of degrees, and the letter of micro are replaced by ASCII. The words of
-    units are abbreviated only if the unit has several parts. The sign _ becomes /.
+    Superscripts, the sign of degrees, and the letter of micro are replaced by ASCII, and so are
+    units in one character, such as ℃. The words of units are abbreviated only if the unit has
+    several parts. The sign _ becomes /.
 
     Examples
     --------
     >>> plain_unit('°/s'), plain_unit('m s⁻²'), plain_unit('Degrees per second'), plain_unit('µs')
     ('deg/s', 'ms-2', 'deg/s', 'us')
     """
-    text = re.sub('[°º˚]', 'deg', text.lower())
-    text = unicodedata.normalize('NFKC', text).replace('μ', 'u').replace('−', '-')
+    text = unicodedata.normalize('NFKC', re.sub('[°º˚]', 'deg', text)).lower()
+    text = text.translate(str.maketrans({'°': 'deg', 'μ': 'u', '−': '-', '∕': '/'}))
     text = re.sub(r'\s*\bper\b\s*', '/', text)
     if re.search(r'[/^\s*·-]', text):
         for word, spellings in _SPELLINGS.items():

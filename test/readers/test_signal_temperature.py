@@ -77,7 +77,7 @@ def test_the_temperature_topic_of_the_imu_is_found(
     assert (trace.record_ns - trace.header_ns == 7).all()
 
 
-@pytest.mark.parametrize('name', ['temperature', 'Temp [°C]', 'imu_temp_degC'])
+@pytest.mark.parametrize('name', ['temperature', 'Temp [°C]', 'Temp [℃]', 'imu_temp_degC'])
 def test_a_table_has_it_in_a_column(name: str, tmp_path: Path) -> None:
     rows = [f'{t},0,0,0,0,0,9.8,{20 + t}' for t in range(9)]
     text = '\n'.join([f't,gx,gy,gz,ax,ay,az,{name}', *rows, '9,0,0'])
