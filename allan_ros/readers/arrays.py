@@ -168,7 +168,7 @@ def array_in(path: Path, name: str) -> NDArray[Any]:
     """Return the array ``name`` of numbers or strings in a ``.npz`` file, in any shape.
 
     The result is an empty array, (0,), if the file has no such array. Raises AllanError when the
-    file cannot be read, or when the array contains neither numbers nor strings.
+    file cannot be read, or when the array contains neither real numbers nor Unicode strings.
     """
     with (
         translated(path, _LIBRARY_ERRORS, REMEDY),
@@ -230,7 +230,8 @@ def recording_in_memory(
         If the options contain a rate, the times are computed from the rate. Otherwise the times
         are a column such as ``t`` or ``time``, or the index of a DataFrame, if the index consists
         of dates or durations. The units of samples in the options apply to columns whose names
-        state no unit. The unit of times in the options applies whatever the name states.
+        state no unit. The unit of times in the options applies to numbers in one column of times,
+        whatever its name states.
     axes : sequence of str or str, optional
         Names of the axes, or 'gyro' or 'accel' for three axes. By default, an array with six
         columns contains gyro x, y, z and accel x, y, z, an array with three columns contains gyro

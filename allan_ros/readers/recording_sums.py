@@ -41,8 +41,8 @@ class Provenance:
 
     ``segments`` contains at most the `health.LISTED_SEGMENTS` longest segments of each recording,
     in the order of time. A document lists the longest segments first. Findings come from the reader
-    and the stream. Settings are plain values. ``last_stamp_ns`` is the latest stamp in the sums of
-    a node, so that samples do not count twice if simulated time jumps back; it is None for a
+    and the stream. Settings are plain values. ``last_stamp_ns`` is the latest stamp that a node
+    has received, so that samples do not count twice if simulated time jumps back; it is None for a
     recording.
     """
 
@@ -107,7 +107,8 @@ class RecordingSums:
         """Return the Allan sums of both recordings together.
 
         Raises AllanError when the sums cannot be added, for example because the recordings are of
-        different IMUs, or when the recordings have samples in common.
+        different IMUs, or when the recordings have a segment or too much time in common
+        (`MAX_SHARED_TIME`).
         """
         try:
             sums = add_sums(self.sums, other.sums)

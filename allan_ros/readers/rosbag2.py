@@ -84,8 +84,8 @@ def chosen_topic(path: Path, survey: Survey, wanted: str, accel_topic: str = '')
     Raises
     ------
     AllanError
-        When there is no such topic, when ``wanted`` is '' and there are several Imu topics, or when
-        the messages of the topic are missing or cannot be decoded.
+        When there is no such topic, when ``wanted`` is '' and several Imu topics are considered, or
+        when the messages of the topic are missing or cannot be decoded.
     """
     imus = [key for key in survey.imus() if key[0].lstrip('/') != accel_topic.lstrip('/')]
     candidates = [_named(path, survey, wanted)] if wanted else imus
@@ -152,8 +152,8 @@ def open_bag(path: Path, options: ReadOptions) -> Recording:
     """Open the Imu topic of a bag as a recording; ``path`` is a bag folder or a bag file.
 
     Raises AllanError when the bag cannot be read, when it has no Imu topic or not the topics that
-    the options select, when it has several Imu topics and the options select none, or when the
-    topic has no messages or another serialization than `ENCODINGS`.
+    the options select, when it has several Imu topics with messages and the options select none, or
+    when the topic has no messages or another serialization than `ENCODINGS`.
     """
     bag = bag_of(path)
     survey = bag.survey()

@@ -93,7 +93,7 @@ def _custom_data(path: Path) -> Mapping[str, Any]:
     """Return the custom data in the metadata of a rosbag2; empty if the metadata contain none.
 
     ``path`` is the folder of the rosbag2, or a file in this folder. Raises AllanError if the folder
-    contains no metadata.yaml, or if this file cannot be read.
+    contains no metadata.yaml, or if this file is invalid or cannot be read.
     """
     folder = path if os.path.isdir(path) else path.parent
     file = folder / METADATA

@@ -307,10 +307,10 @@ def step_of_sums(sums: AllanSums, axis: int, deviation: float) -> float | None:
 
 
 def common_step(phase: Floats, deviation: float) -> float | None:
-    """Return the largest step of which all phase values are multiples, or None if there is none.
+    """Return the largest step of which all phase values are nearly multiples, or None.
 
-    None is also returned if there are fewer than `LEAST_POINTS` different numbers, or if
-    ``deviation`` is not above 0.
+    The result is None if there is no such step, if there are too few different numbers
+    (`LEAST_POINTS`), or if ``deviation`` is not above 0.
 
     ``phase``, (n,), contains cumulative sums of samples. ``deviation`` is the standard deviation of
     the white noise of a sample: steps below `NEGLIGIBLE_STEP` times ``deviation`` are ignored. All

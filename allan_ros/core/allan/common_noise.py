@@ -88,9 +88,9 @@ class CommonNoise:
         samples are constant.
     own : Estimate or None
         N in SI without the noise that all IMUs measure equally. With two IMUs, only the root mean
-        square of both values is known, and is given for both. None if two axes are compared, if
-        the differences of the samples of the IMUs are constant, or if the IMUs measure the common
-        noise with differences that ``gain`` does not correct.
+        square of both values is known. It is given for both, times the ``gain`` of each IMU. None
+        if two axes are compared, if the differences of the samples of the IMUs are constant, or if
+        the IMUs measure the common noise with differences that ``gain`` does not correct.
     gain : float
         Factor with which the IMU measures the common noise; the geometric mean of the factors of
         all IMUs is 1.

@@ -68,8 +68,8 @@ def add_lengths(a: Lengths, b: Lengths) -> Lengths:
 class AllanSums(ByValue):
     """Sums over the samples of one stream; ``+`` adds another recording of the same IMU.
 
-    The order of additions changes ``sum_sq`` and ``group_sum_sq`` only by rounding errors, at most
-    1e-12 of a sum. The limits of the periods may depend on the order.
+    The order of additions changes ``sum_sq`` and ``group_sum_sq`` only by rounding errors. The
+    periods and block means in ``recordings`` may depend on the order.
 
     Attributes
     ----------

@@ -97,9 +97,9 @@ def transfer(parts: Sequence[Floats]) -> Transfer:
 def cross_spectra(parts: Sequence[Floats]) -> tuple[Spectra, float]:
     """Return the cross spectra, (frequencies, sensors, sensors), and the number of blocks.
 
-    The number of blocks is the number of independent blocks that would give the same errors as the
-    overlapping blocks. ``parts`` are samples without gaps, each (sensors, n). The frequencies
-    are from two periods per block to `HIGHEST`.
+    The number of blocks is the number of independent blocks that would give about the same errors
+    as the overlapping blocks. ``parts`` are samples without gaps, each (sensors, n). The
+    frequencies are from two periods per block to `HIGHEST`.
     """
     window = np.hanning(BLOCK + 1)[:BLOCK]
     summed_spectra, block_count = np.zeros((BLOCK // 2 + 1, *2 * (len(parts[0]),)), complex), 0
