@@ -140,7 +140,7 @@ class Check:
 
     @property
     def limit(self) -> float:
-        """The upper limit, or the number of the other recording; NaN if there is none."""
+        """The upper limit, or the value or limit from the other recording; NaN if there is none."""
         return math.nan if self.upper is None else self.upper
 
     @property
@@ -183,7 +183,7 @@ class Check:
         return 'different' if low > limit or high < -limit else 'undecided'
 
     def as_limit(self, margin: float) -> Check | None:
-        """Return the check with the number of the other recording as an upper limit.
+        """Return the check with the value or limit from the other recording as an upper limit.
 
         The verdict is 'exceeds' if the number is significantly higher than in the other recording,
         and the complete 95 % interval of the ratio lies above 1 + ``margin``. Otherwise, it is
@@ -393,16 +393,16 @@ def _term_difference(
     reference_value = _limit(first) if a is None else a[0]
     check = Check(axis, term, reference, second, upper=reference_value)
     # the errors of R and of the squares of the other terms are assumed to be normally distributed
-    power = 1.0 if term == 'R' else 2.0
+    exponent = 1.0 if term == 'R' else 2.0
     if a is not None and b is not None:
         ratio, ci95, p = _ratio_of_estimates(a, b)
         return replace(check, ratio=Estimate(ratio, ci95), p=p)
     if a is not None and (limit := _limit(second)) is not None:
         ratio_below = replace(UNKNOWN, recording_ci95=(0.0, limit / a[1]))
-        return replace(check, ratio=ratio_below, p=_p_value_of_limit(a, limit, power))
+        return replace(check, ratio=ratio_below, p=_p_value_of_limit(a, limit, exponent))
     if b is not None and (limit := _limit(first)) is not None:
         ratio_above = replace(UNKNOWN, recording_ci95=(b[1] / limit, math.inf))
-        return replace(check, ratio=ratio_above, p=_p_value_of_limit(b, limit, power))
+        return replace(check, ratio=ratio_above, p=_p_value_of_limit(b, limit, exponent))
     return check
 
 
@@ -441,8 +441,8 @@ def _ratio_of_estimates(a: Known, b: Known) -> tuple[float, tuple[float, float],
     from scipy import special
 
     log_ratio = math.log(b[0]) - math.log(a[0])
-    distance_below = math.hypot(_width(b[0], b[1], b), _width(a[2], a[0], a))
-    distance_above = math.hypot(_width(b[2], b[0], b), _width(a[0], a[1], a))
+    distance_below = math.hypot(_log_distance(b[0], b[1], b), _log_distance(a[2], a[0], a))
+    distance_above = math.hypot(_log_distance(b[2], b[0], b), _log_distance(a[0], a[1], a))
     half_width = distance_below if log_ratio > 0.0 else distance_above
     z = abs(log_ratio) * Z_95 / half_width if half_width > 0.0 else math.inf * bool(log_ratio)
     interval = _exp(log_ratio - distance_below), _exp(log_ratio + distance_above)
@@ -453,36 +453,37 @@ def _exp(x: float) -> float:
     return math.exp(x) if x < LARGEST_EXPONENT else math.inf
 
 
-def _width(upper: float, lower: float, x: Known) -> float:
-    """Return the distance ln(upper / lower) from an estimate to an end of its interval.
+def _log_distance(upper: float, lower: float, x: Known) -> float:
+    """Return ln(upper / lower), but at least half the width of the interval of ln x.
 
-    The result is at least half the width of the interval of ln x, where ``x`` is the estimate.
+    ``x`` is an estimate with its interval. ``upper`` and ``lower`` are the value of ``x`` and one
+    end of the interval, the larger number first.
     """
-    # without this minimum, the distance would be 0 if the value is an end of its interval
+    # without the half width, the distance would be 0 if the value is an end of its interval
     return max(math.log(upper) - math.log(lower), (math.log(x[2]) - math.log(x[1])) / 2.0)
 
 
-def _p_value_of_limit(a: Known, limit: float, power: float) -> float:
+def _p_value_of_limit(resolved: Known, limit: float, exponent: float) -> float:
     """Return the p value for equal noise if only one of two recordings resolves a coefficient.
 
-    ``a`` is the estimate from this recording, and ``limit`` is the upper limit from the other
-    recording. The p value follows from the confidence level at which the lower limit of ``a``
-    equals the upper limit. The errors of the coefficient to the power ``power`` are assumed to be
-    normally distributed.
+    ``resolved`` is the estimate from this recording, and ``limit`` is the upper limit from the
+    other recording. The p value follows from the confidence level at which the lower limit of
+    ``resolved`` equals the upper limit. The coefficient to the power of ``exponent`` is assumed to
+    have a normally distributed error.
     """
     # The estimate is compared with the upper limit of the number that is not resolved. At the
     # normal quantile z, the lower limit of the estimate is value exp(-s z), where s is the standard
-    # error of its logarithm. The upper limit is limit (z / 1.96)^(1 / power), because the number
+    # error of its logarithm. The upper limit is limit (z / 1.96)^(1 / exponent), because the number
     # that is not resolved is assumed to be 0, which is the worst case. At the z where both limits
     # are equal, each limit is wrong with probability Phi(-z). The p value is 4 Phi(-z): two limits
     # can be wrong, and either recording could be the one that resolves the number.
     from scipy import special
 
-    value, low, _ = a
-    scale = power * max(_width(value, low, a) / Z_95, SMALLEST_SCALE)
-    # With p = power, this z solves p s z exp(p s z) = p s 1.96 (value / limit)^p. The Lambert W
+    value, low, _ = resolved
+    scale = exponent * max(_log_distance(value, low, resolved) / Z_95, SMALLEST_SCALE)
+    # With p = exponent, this z solves p s z exp(p s z) = p s 1.96 (value / limit)^p. The Lambert W
     # function gives the solution, here in logarithms.
-    log_right_side = math.log(scale * Z_95) + power * (math.log(value) - math.log(limit))
+    log_right_side = math.log(scale * Z_95) + exponent * (math.log(value) - math.log(limit))
     z = float(special.wrightomega(log_right_side)) / scale
     # The upper limit is known only for a confidence level of 95 % or more.
     return min(4.0 * float(special.ndtr(-z)), 1.0) if z >= Z_95 else 1.0

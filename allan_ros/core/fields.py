@@ -224,10 +224,11 @@ class Fields:
     def record(self, kind: type[T], **known: Any) -> T:
         """Return a dataclass or named tuple of type ``kind`` with the values of this object.
 
-        If ``kind`` has a method ``from_document``, the result of this method is returned. Otherwise
-        the value of each field is read from the key with the name of the field, or from its key in
-        the names of this object, as the annotated type. Fields in ``known`` get the values given
-        there. Keys of fields for which ``kind`` itself states a default value may be missing.
+        If ``kind`` has a method ``from_document``, the result of this method is returned.
+        Otherwise, the value of each field is read as the annotated type of the field. Its key is
+        the name of the field or, if there is no such key, the key that ``names`` of this object
+        states for the field. Fields in ``known`` get the values given there. Keys of fields for
+        which ``kind`` itself states a default value may be missing.
         """
         if (from_document := getattr(kind, 'from_document', None)) is not None:
             result: T = from_document(self)

@@ -101,7 +101,7 @@ class Finding:
         return one_line(f'{self.id}{axes}: {", ".join(values)}')
 
     def document(self) -> dict[str, Any]:
-        """Return the finding as a JSON object, with its values in the units of ``values``."""
+        """Return the finding as a JSON object; its values keep their units."""
         texts = dict(zip(('message', 'remedy'), self.stated)) if self.stated else {}
         return {
             'id': self.id,

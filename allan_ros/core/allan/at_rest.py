@@ -57,8 +57,8 @@ sums of the samples, and differences between sums of blocks. A few numbers can b
 step by chance."""
 
 ROUNDING_SHARE = 0.1
-"""Least ratio of the variance of the rounding error to the variance of the white noise for which
-rounding is reported."""
+"""Rounding is reported only if the variance of the rounding error is above this fraction of the
+variance of the white noise."""
 
 
 @dataclass(frozen=True)
@@ -73,9 +73,10 @@ class AtRest:
         Difference between the largest and the smallest of up to 16 means of equal length. The
         difference includes the noise of the means. None if there are fewer than two means.
     temperature : float or None
-        Mean temperature in degC during the means of the drift, at eight times in each mean. Means
-        with a time before the first or after the last reading are excluded. None if no mean
-        remains, or for fewer than two readings.
+        Mean temperature in degC during the means from which ``drift`` is computed. The readings are
+        interpolated at eight times in each mean. A mean is excluded if one of these times is before
+        the first or after the last reading. None if no mean remains, or for fewer than two
+        readings.
     slope : Estimate or None
         Change of the means per K, by least squares. A drift with time is not separated from the
         effect of the temperature. None if the temperatures of the means differ by less than 3 K, or

@@ -107,7 +107,7 @@ class LevelSums:
 
     @classmethod
     def zero(cls, j: int, axes: int) -> LevelSums:
-        """Return the sums over zero blocks of level j."""
+        """Return sums of level j to which no block is added yet: all values and counts are 0."""
         level = level_of(j)
         factors, bins = len(level.factors), sum(len(octave(o).bins) for o in level.octaves)
         counts = np.zeros(2 * (factors + len(level.octaves)), np.int64)
@@ -138,13 +138,14 @@ class Block:
 
     begin: int  # index of the first sample of the part in the segment
     sums: LevelSums
-    # samples of a part of level 0 minus the reference, (axes + 1, n); the last row is 1 for
-    # interpolated samples, else 0. The array is empty for a higher level
+    # if the level is 0, the samples in the part, (axes + 1, n): the first sample of the segment is
+    # subtracted, and the last row is 1 for interpolated samples, else 0. On higher levels, the
+    # array is empty
     samples: Floats
 
 
 @lru_cache
-def _half_tapers(o: int, kind: str) -> Floating:
+def _half_tapers(octave_index: int, kind: str) -> Floating:
     """Return the tapers of both halves of a spectral block, (points per half block, 4 * bins).
 
     There are four columns for each bin: first the real parts in the first half of the block for all
@@ -152,7 +153,7 @@ def _half_tapers(o: int, kind: str) -> Floating:
     imaginary parts in the second half. The tapers are divided by the number of samples per mean,
     because they are multiplied by sums instead of means.
     """
-    step, size, bins = octave(o)
+    step, size, bins = octave(octave_index)
     half_tapers = np.split(tapers(size, bins).T / step, 2)
     columns = [component(half) for half in half_tapers for component in (np.real, np.imag)]
     return np.concatenate(columns, axis=1).astype(kind)
@@ -214,9 +215,9 @@ def _layout(octaves: range, axes: int, n: int) -> _Layout:
 
 
 class _GroupSums(NamedTuple):
-    """Power of the spectral blocks of a group of octaves, summed over the blocks of each part.
+    """Power of the spectral blocks of a group of octaves, in separate sums for parts of the points.
 
-    A spectral block belongs to the part of the points in which the block ends.
+    The power of a spectral block is added to the sum of the part that contains its last point.
     """
 
     power: Floats  # (parts, bins of all octaves, axes) in the squared unit of the samples
@@ -270,7 +271,7 @@ class _RunningLevel:
         return self.points[:, begin : begin + number]
 
     def close(self) -> list[Block]:
-        """Return the parts of the full block with their sums, and begin the next block."""
+        """Return the sums over the parts of the full block, and begin the next block."""
         blocks, self.halves = self.blocks_of(self.points[:, : _KEPT + self.fill])
         self.points[:, :_KEPT] = self.points[:, self.fill : self.fill + _KEPT]
         self.summed += self.fill
@@ -278,7 +279,7 @@ class _RunningLevel:
         return blocks
 
     def blocks_of(self, points: Floats) -> tuple[list[Block], list[_HalfBlocks]]:
-        """Return the parts of a block with their sums, and the last half block of each octave.
+        """Return the sums over the parts of a block, and the last half block of each octave.
 
         ``points`` are (rows, n): `_KEPT` earlier points, then the points of the block.
         """
@@ -315,10 +316,10 @@ def _group_sums(
     previous_halves: _HalfBlocks,
     part: int,
 ) -> _GroupSums:
-    """Return the power of the spectral blocks of a group of octaves that end in n points.
+    """Return, for a group of octaves, the power of the spectral blocks that end within n points.
 
     ``samples``, (axes, n), are the points of a level: samples or sums over samples. The power is
-    summed separately for every ``part`` points. ``interpolated``, (n,), is the number of
+    summed separately for each part of ``part`` points. ``interpolated``, (n,), is the number of
     interpolated samples in each point; None if no sample is interpolated. ``previous_halves`` are
     the last half blocks before the points.
     """
@@ -357,11 +358,13 @@ def _group_sums(
 def _squared_amplitudes(
     samples: Floating, layout: _Layout, previous_products: Floating, last_products: Floating
 ) -> Floats:
-    """Return the squared amplitudes of the blocks that end with each half block, (rows, 2 * bins).
+    """Return the squares of the real and imaginary amplitudes of blocks, (rows, 2 * bins).
 
-    ``previous_products``, (octaves, axes, 2 * bins), is the product of the half block before the
-    first sample with the tapers of the first half. The same product of the last half block is
-    written to ``last_products``.
+    Each row contains the amplitudes of one spectral block: the block whose second half is the half
+    block of this row in ``layout``. ``previous_products``, (octaves, axes, 2 * bins), contains the
+    last half block before ``samples``, multiplied by the tapers of the first half of a spectral
+    block. The same products for the last half block of ``samples`` are written to
+    ``last_products``, for the octaves in ``layout``.
     """
     if not layout.octaves:
         return np.zeros((0, previous_products.shape[2]))
@@ -371,7 +374,8 @@ def _squared_amplitudes(
         half_blocks = samples[:, : number * half_size].reshape(-1, half_size)
         np.matmul(half_blocks, _half_tapers(o, kind), out=products[begin:end])
     first_half, second_half = products[:, :columns], products[:, columns:]
-    # the amplitude of a block is the sum of the products of its two halves
+    # the amplitude of a block is its first half times the tapers of the first half, plus its second
+    # half times the tapers of the second half
     np.add(first_half[:-1], second_half[1:], out=amplitudes[1:])
     octave_count = len(layout.octaves)
     amplitudes[layout.firsts] = (
@@ -462,7 +466,7 @@ class Cascade:
         self._levels = [_RunningLevel(0, len(reference) + 1)]
 
     def feed(self, samples: Floats, interpolated: NDArray[np.bool_] | None) -> Iterator[Block]:
-        """Add samples, (axes, n), and yield the parts of the blocks that become full.
+        """Add samples, (axes, n), and yield the sums over the parts of blocks that become full.
 
         The samples are added while the result is iterated. They have the unit of the reference.
         ``interpolated``, (n,), flags the interpolated samples; None means that there are none.
@@ -482,7 +486,7 @@ class Cascade:
                 yield from self._close()
 
     def _close(self) -> Iterator[Block]:
-        """Yield the parts of the full blocks, from level 0 on, and begin new blocks."""
+        """Yield the sums over the parts of full blocks, from level 0 on, and begin new blocks."""
         for j in itertools.count():
             level = self._levels[j]
             if level.fill < level.size:
@@ -495,7 +499,7 @@ class Cascade:
             yield from level.close()
 
     def open_blocks(self) -> Iterator[Block]:
-        """Yield the parts of the blocks that are not full, as if the segment ended.
+        """Yield the sums over the parts of the blocks that are not full, as if the segment ended.
 
         The state is unchanged.
         """

@@ -265,18 +265,20 @@ def _allan_covariance(
     return curve.tau[has_enough_edf], covariance, mean_edf[has_enough_edf]
 
 
-def _coherence(tau: Floats, covariance: Floats, degrees: Floats, a: Floats, b: Floats) -> Coherence:
+def _coherence(
+    tau: Floats, covariance: Floats, degrees: Floats, first: Floats, second: Floats
+) -> Coherence:
     """Return the correlation of two weighted sums of sensors, with Fisher's 95 % interval.
 
-    ``a`` and ``b`` are the weights of the sensors in both sums, (sensors,). ``degrees`` are the
-    degrees of freedom of the ``covariance`` at each averaging time. The correlation is NaN if one
-    of the sums is constant, except for rounding errors.
+    ``first`` and ``second``, (sensors,), are the weights of the sensors in the two sums.
+    ``degrees`` are the degrees of freedom of the ``covariance`` at each averaging time. The
+    correlation is NaN if one of the sums is constant, except for rounding errors.
     """
-    variances = np.stack([covariance @ a @ a, covariance @ b @ b])
+    variances = np.stack([covariance @ first @ first, covariance @ second @ second])
     has_noise = variances.min(axis=0) > ROUNDING_SHARE * variances.max(axis=0)
     with np.errstate(invalid='ignore', divide='ignore'):
         scale = np.where(has_noise, np.sqrt(variances.prod(axis=0)), np.nan)
-        value = np.clip(covariance @ a @ b / scale, -1.0, 1.0)
+        value = np.clip(covariance @ first @ second / scale, -1.0, 1.0)
         z, half_width = np.arctanh(value), Z_95 / np.sqrt(degrees - 2.0)
     return Coherence(tau, value, np.tanh(z - half_width), np.tanh(z + half_width))
 

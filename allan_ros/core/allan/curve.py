@@ -223,8 +223,8 @@ def _local_slopes(m: Ints, avar: Floats, weights: Floats) -> Floats:
 
 
 UNCERTAIN = 1.5
-"""Largest ratio of the upper limit of a point of the curve to the point itself for which the point
-is compared with a model. A point with a larger ratio has fewer than six degrees of freedom."""
+"""A point of the curve is compared with a model only if its upper limit is at most this multiple of
+its value. With a higher upper limit, the point has fewer than six degrees of freedom."""
 
 
 @dataclass(frozen=True)
@@ -424,7 +424,7 @@ class Spectrum:
     high: Floats  # (points, axes) upper limit of ``psd``
     bin: NDArray[np.int64]  # (points,) index of the bin of each point, counted over all octaves
     octaves: int  # number of octaves, from octave 0 to the octave of the lowest frequency
-    step: NDArray[np.int64]  # (points,) samples per mean in the spectral blocks of each point
+    step: NDArray[np.int64]  # (points,) samples averaged into each value of the spectral blocks
 
 
 def noise_density(sums: AllanSums) -> Spectrum | None:

@@ -110,11 +110,11 @@ class Octave(NamedTuple):
 
 
 @lru_cache
-def octave(o: int) -> Octave:
-    """Return the lengths of the blocks, and the frequency bins, of octave o."""
-    log2_step = max(o - SAMPLE_OCTAVES + 1, 0)
-    bins = range(LOW_BIN, 4 * LOW_BIN if o == 0 else 2 * LOW_BIN)
-    return Octave(1 << log2_step, SHORTEST_BLOCK << (o - log2_step), bins)
+def octave(index: int) -> Octave:
+    """Return the lengths of the blocks, and the frequency bins, of the octave number ``index``."""
+    log2_step = max(index - SAMPLE_OCTAVES + 1, 0)
+    bins = range(LOW_BIN, 4 * LOW_BIN if index == 0 else 2 * LOW_BIN)
+    return Octave(1 << log2_step, SHORTEST_BLOCK << (index - log2_step), bins)
 
 
 def bins_up_to(octaves: int) -> int:
@@ -139,20 +139,20 @@ def tapers(size: int, bins: range) -> NDArray[np.complex128]:
 
 
 @lru_cache
-def overlap(o: int) -> tuple[Floats, Floats]:
-    """Return the covariances of the power of a middle bin of octave o, for unit white noise.
+def overlap(octave_index: int) -> tuple[Floats, Floats]:
+    """Return the covariances of the power of a middle bin of an octave, for unit white noise.
 
     The first array, (31,), contains the covariances with bins 1 to 31 of the same block; the
     largest one is the variance of the middle bin. The second array, (31,), contains the covariances
     with the same bins of both neighboring blocks, summed over the two blocks.
     """
-    size = octave(o).size
+    size = octave(octave_index).size
     these_tapers = tapers(size, range(1, 4 * LOW_BIN))
     # tapers of the next block, where the next block overlaps this block
     next_tapers = np.zeros_like(these_tapers)
     next_tapers[:, size // 2 :] = these_tapers[:, : size // 2]
     # row of bin 16 (octave 0) or bin 12 (other octaves)
-    middle_row = (2 * LOW_BIN if o == 0 else LOW_BIN + LOW_BIN // 2) - 1
+    middle_row = (2 * LOW_BIN if octave_index == 0 else LOW_BIN + LOW_BIN // 2) - 1
 
     def covariance(x: NDArray[np.complex128], y: NDArray[np.complex128]) -> Floats:
         middle_taper = x[middle_row]

@@ -140,7 +140,7 @@ class BlockMeans(ByValue):
     start_ns: int  # stamp of the first sample of the segment in ns
     samples: int  # number of samples of the segment
     step: int  # samples per block, a power of two
-    values: Floats  # (means, axes) means minus ``RecordedPeriods.reference``
+    values: Floats  # (means, axes) mean of each block, minus `RecordedPeriods.reference`
 
     def coarser(self, step: int) -> BlockMeans:
         """Return the means over longer blocks of ``step`` samples, a power of two."""

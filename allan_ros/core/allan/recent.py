@@ -134,7 +134,7 @@ def noise_steps(sums: AllanSums, window_s: float) -> dict[str, NoiseStep]:
                 )
             ]
         )
-        first_and_last_step = _steps(count * edf_per_difference, sum_sq[:, :, i])
+        first_and_last_step = _first_and_last_step(count * edf_per_difference, sum_sq[:, :, i])
         if first_and_last_step is None:
             continue
         first, last, factor_index = first_and_last_step
@@ -153,35 +153,39 @@ def noise_steps(sums: AllanSums, window_s: float) -> dict[str, NoiseStep]:
     return steps
 
 
-def _steps(degrees: Floats, squares: Floats) -> tuple[int, int, int] | None:
-    """Return the indices of the periods after the first and the last step, and of the factor.
+def _first_and_last_step(dofs: Floats, squares: Floats) -> tuple[int, int, int] | None:
+    """Return where the noise level of an axis has its first and its last significant step.
 
-    ``degrees`` are the degrees of freedom, and ``squares`` are the sums of squares, of each period
-    and averaging factor, (rows, factors). The first step is the most significant step at any
-    factor. Later steps are searched for only at the factor of the first step. Returns None if no
-    step is significant.
+    The result is three indices: of the period after the first step, of the period after the last
+    step, and of the averaging factor at which both were found. It is None if no step is
+    significant.
+
+    ``dofs`` are the degrees of freedom, and ``squares`` are the sums of squares, of each period
+    and averaging factor, (periods, factors). The first step is the most significant step at any
+    factor. Later steps are searched for only at the factor of the first step.
     """
-    degrees, squares = np.cumsum(degrees, axis=0), np.cumsum(squares, axis=0)
-    ratio = _step_ratios(degrees, squares)
+    dofs, squares = np.cumsum(dofs, axis=0), np.cumsum(squares, axis=0)
+    ratio = _step_ratios(dofs, squares)
     row, factor = np.unravel_index(int(ratio.argmax()), ratio.shape)
     if not ratio[row, factor] > LIKELIHOOD_RATIO:
         return None
     first = last = int(row)
     while True:
-        later_sums = [a[last + 1 :, factor] - a[last, factor] for a in (degrees, squares)]
+        later_sums = [a[last + 1 :, factor] - a[last, factor] for a in (dofs, squares)]
         ratio = _step_ratios(*later_sums) if len(later_sums[0]) else np.zeros(1)
         if not ratio.max() > LIKELIHOOD_RATIO:
             return first + 1, last + 1, int(factor)
         last += 1 + int(ratio.argmax())
 
 
-def _step_ratios(degrees: Floats, squares: Floats) -> Floats:
-    """Return twice the log likelihood ratio of a step after each period, (rows, ...).
+def _step_ratios(dofs: Floats, squares: Floats) -> Floats:
+    """Return twice the log likelihood ratio of a step after each period, (periods, ...).
 
-    ``degrees`` and ``squares`` are cumulative sums over the periods, (rows, ...). The result is
-    -inf where the data before or after the step are too few or constant.
+    ``dofs``, the degrees of freedom, and ``squares`` are cumulative sums over the periods,
+    (periods, ...). The result is -inf where the data before or after the step are too few or
+    constant.
     """
-    edfs = degrees, degrees[-1] - degrees, degrees[-1]
+    edfs = dofs, dofs[-1] - dofs, dofs[-1]
     sums = squares, squares[-1] - squares, squares[-1]
     with np.errstate(invalid='ignore', divide='ignore'):
         deviance_before, deviance_after, deviance_without_step = (

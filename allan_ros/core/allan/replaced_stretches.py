@@ -87,19 +87,19 @@ class RunningStretches:
         new_rows = []
         for axis, (length, level) in enumerate(self._open.T.tolist()):
             changes = np.flatnonzero(np.diff(levels[axis], prepend=level))
-            starts_of_runs = np.concatenate([[-length], changes])
-            levels_of_runs = np.concatenate([[level], levels[axis, changes]])
-            ended_stretches = np.column_stack([np.diff(starts_of_runs), levels_of_runs[:-1]])[
-                levels_of_runs[:-1] > 0
+            run_starts = np.concatenate([[-length], changes])
+            run_levels = np.concatenate([[level], levels[axis, changes]])
+            ended_stretches = np.column_stack([np.diff(run_starts), run_levels[:-1]])[
+                run_levels[:-1] > 0
             ]
-            for (n, level_of_run), number in zip(
+            for (ended_length, ended_level), number in zip(
                 *np.unique(ended_stretches, axis=0, return_counts=True)
             ):
                 row = np.zeros(2 + axes, np.int64)
-                row[[0, 1, 2 + axis]] = _counted(int(n)), level_of_run, number
+                row[[0, 1, 2 + axis]] = _counted(int(ended_length)), ended_level, number
                 new_rows.append(row)
-            length = levels.shape[1] - int(starts_of_runs[-1])
-            self._open[:, axis] = (length, levels_of_runs[-1]) if levels_of_runs[-1] else 0
+            length = levels.shape[1] - int(run_starts[-1])
+            self._open[:, axis] = (length, run_levels[-1]) if run_levels[-1] else 0
         if new_rows:
             self.table = add_stretches(self.table, np.array(new_rows))
 
@@ -130,14 +130,14 @@ def stretch_excess(length: int, level: int) -> Floats:
 
 
 def replaced_excess(stretches: Ints, number: Floats) -> Gamma:
-    """Return the function by which replaced stretches change gamma(M, j) of unit white noise.
+    """Return the change of gamma(M, j) of unit white noise due to replaced stretches.
 
-    ``stretches`` is `AllanSums.replaced`. ``number``, (stretches,), is the number of stretches of
-    each row on one axis, divided by the number of samples.
+    The result is a function of M and j. gamma(M, j) is the autocovariance of means over M samples
+    at a lag of j means. ``stretches`` is `AllanSums.replaced`. ``number``, (stretches,), is the
+    number of stretches of each row on one axis, divided by the number of samples.
 
-    gamma(M, j) is the autocovariance of means over M samples at a lag of j means. It is minus the
-    second difference of a function P with step M, divided by M^2. The second difference of P with
-    step 1 is minus the autocovariance of the samples.
+    gamma(M, j) is minus the second difference of a function P with step M, divided by M^2. The
+    second difference of P with step 1 is minus the autocovariance of the samples.
     """
     total = np.zeros(max(int((stretches[:, :2]).sum(axis=1).max(initial=1)), 2))
     for (length, level, *_), share in zip(stretches.tolist(), number.tolist()):

@@ -38,8 +38,9 @@ half a sample between the stamps of two IMUs have an effect. The fit of N contai
 this effect."""
 
 LARGEST_LEAK = 0.1
-"""Largest share of the common signal in the power of a difference of two sensors for which the
-sensors are treated as equal. With this share, the measured own N of a sensor is 5 % too large."""
+"""Sensors are treated as equal if the common signal makes up less than this share of the power of
+the difference of any two sensors. With this share, N of the own noise of a sensor, measured from
+differences, is 5 % too large."""
 
 LEAST_CONTRAST = 0.5
 """The ratio of the factors of two sensors is determined only if the power of the common signal
@@ -55,7 +56,8 @@ class Transfer(NamedTuple):
         Factor with which each sensor measures the signal; the geometric mean of the factors is 1.
     leak : float
         Share of the common signal in the power of the difference of two sensors, for the pair with
-        the largest share, after the factors are corrected; 0 if there are too few samples.
+        the largest share, after the samples of each sensor are divided by its factor; 0 if there
+        are too few samples.
     """
 
     gains: Floats
@@ -66,13 +68,13 @@ class Transfer(NamedTuple):
         """Whether the difference of any two sensors contains hardly more than their own noise.
 
         The samples are divided by ``gains`` before the differences are computed. The result is also
-        True if there are too few samples to measure the leak.
+        True if there are too few samples to compare the sensors.
         """
         return self.leak < LARGEST_LEAK
 
 
 def transfer(parts: Sequence[Floats]) -> Transfer:
-    """Return the factors with which sensors measure a common signal, and the remaining leak.
+    """Return the factors with which sensors measure a common signal, and the leak that remains.
 
     The leak is the share of the common signal in differences of sensors (`Transfer`). ``parts`` are
     samples without gaps in any unit, each (sensors, n). The factors are 1 if the share of the

@@ -224,7 +224,7 @@ class BiasTracker:
 
     @property
     def end_ns(self) -> int:
-        """End time in ns of the latest mean of all axes with a bias; 0 if no axis has a bias."""
+        """Latest time in ns at which a mean of an axis with a bias ends; 0 without such an axis."""
         return max((self._means[axis][-1][0] for axis in self._filters), default=0)
 
     def _restart(self, axis: str) -> None:

@@ -74,8 +74,9 @@ Within two standard deviations, s_i is between 1/25 and 25. The prior only matte
 not determine a factor."""
 
 MOST_STEPS, STEP, CONVERGED = 60, 1.5, 3e-3
-"""Limits of the Fisher scoring: largest number of steps, largest change of a logarithm of s_i^2 in
-one step, and change in one step below which the iteration ends."""
+"""Limits of the Fisher scoring: largest number of steps, largest change of the logarithm of a
+factor s_i^2 of the noise power in one step, and change in one step below which the iteration
+ends."""
 
 Groups = tuple[tuple[str, ...], ...]
 """For each factor s_i of the noise in motion, the names of the covariances that are multiplied by
@@ -103,20 +104,21 @@ class NoiseAtRest(NamedTuple):
 
 
 class DriveFit(NamedTuple):
-    """Fit of the factors s_i to drives, with the value and the derivatives of the likelihood.
+    """Factors of the noise in motion, with the likelihood and the posterior for these factors.
 
     Attributes
     ----------
     groups : tuple of tuple of str
-        For each factor s_i, the names of the covariances that are multiplied by s_i^2.
+        For each factor s_i of the noise, the names of the covariances that s_i^2 multiplies.
     causes : tuple of str
         Names of the calibration errors in the model, keys of `CAUSES`.
     log_factors : (k,) array
-        Logarithms of s_i^2.
+        Logarithms of s_i^2, one for each group.
     value : float
         2 log L with the prior of the factors, up to a constant.
     mean, covariance : (r,) array, (r, r) array
-        Posterior mean and covariance of the coefficients of U.
+        Posterior mean and covariance of the coefficients of the columns of U. Each column is the
+        effect of one unknown, such as the bias of an accelerometer axis, on the drives.
     information : (k, k) array
         Fisher information of ``log_factors``, with their prior.
     scores : (drives, k) array
@@ -222,7 +224,10 @@ class DriveLikelihood:
         total = sum(covariances.values(), fixed_covariances)
         mean_variances = np.einsum('dii->i', total) / len(drives)
         scale = np.sqrt(np.repeat(mean_variances.reshape(-1, 3).mean(axis=1), 3))
-        common_effects = [bias_effects @ np.linalg.cholesky(bias_covariance), _turned_earth(drives)]
+        common_effects = [
+            bias_effects @ np.linalg.cholesky(bias_covariance),
+            _earth_rate_effects(drives),
+        ]
         scale_products = np.outer(scale, scale)
         return cls(
             scale,
@@ -255,15 +260,15 @@ class DriveLikelihood:
             The result at the end of the search, even if the search has not converged.
         """
         groups = (*groups, *((name,) for name in self.unknown))
-        theta = np.zeros(len(groups)) if start is None else start.log_factors
+        start_factors = np.zeros(len(groups)) if start is None else start.log_factors
         prior_stds = np.array([self.unknown.get(names[0], SIGMA_LOG) for names in groups])
-        evaluated = partial(self._evaluated, groups, causes, prior_stds)
-        step, best = 1.0, evaluated(theta)
+        fit_at = partial(self._fit_at, groups, causes, prior_stds)
+        step, best = 1.0, fit_at(start_factors)
         for _ in range(MOST_STEPS):
             gradient = best.scores.sum(axis=0) - best.log_factors / prior_stds**2
             change = np.linalg.solve(best.information, gradient)
             change *= step * min(1.0, STEP / max(np.abs(change).max(), 1e-300))
-            trial = evaluated(best.log_factors + change)
+            trial = fit_at(best.log_factors + change)
             if trial.value < best.value - 1e-9:
                 step *= 0.5
                 if step < 1e-3:
@@ -275,11 +280,11 @@ class DriveLikelihood:
         return best
 
     def covariances(self, groups: Groups, log_factors: Floats) -> tuple[list[Floats], Floats]:
-        """Return the scaled covariance of each group of noise, as a list, and the matrix D.
+        """Return the covariance of each group of noise, as a list, and the total covariance D.
 
-        D is the sum of these covariances, of the covariances of the noise in no group, and of F.
-        All returned arrays are (drives, 9, 9). ``log_factors``, (groups,), are the logarithms of
-        s_i^2.
+        The covariance of a group is multiplied by its factor s_i^2; ``log_factors``, (groups,), are
+        the logarithms of these factors. D is the sum of these covariances, of the covariances of
+        the noise in no group, and of ``own``. All returned arrays are (drives, 9, 9).
         """
         zero = np.zeros_like(self.own)
         scaled = [
@@ -297,43 +302,47 @@ class DriveLikelihood:
         """
         return np.concatenate([self.common, *(self.effects[name] for name in causes)], axis=2)
 
-    def _evaluated(
-        self, groups: Groups, causes: tuple[str, ...], prior_stds: Floats, theta: Floats
+    def _fit_at(
+        self, groups: Groups, causes: tuple[str, ...], prior_stds: Floats, log_factors: Floats
     ) -> DriveFit:
-        """Return the likelihood and its derivatives for given logarithms of s_i^2.
+        """Return the likelihood, its derivatives and the posterior for given factors of the noise.
 
-        ``theta``, (groups,), are these logarithms, and ``prior_stds``, (groups,), are their prior
-        standard deviations.
+        ``log_factors``, (groups,), are the logarithms of the factors s_i^2 of the noise power in
+        each group, and ``prior_stds``, (groups,), are their prior standard deviations. The text of
+        the module defines the matrices D, U and V.
         """
-        scaled, d_matrix = self.covariances(groups, theta)
-        inverse = np.linalg.inv(d_matrix)
-        u = self.all_effects(causes)
-        d_inverse_u = inverse @ u
-        precision = np.eye(u.shape[2]) + np.einsum('dir,dis->rs', u, d_inverse_u)
+        scaled, drive_covariance = self.covariances(groups, log_factors)
+        drive_precision = np.linalg.inv(drive_covariance)
+        effects = self.all_effects(causes)
+        weighted_effects = drive_precision @ effects  # D^-1 U
+        precision = np.eye(effects.shape[2]) + np.einsum('dir,dis->rs', effects, weighted_effects)
         covariance = np.linalg.inv(precision)
-        d_inverse_y = np.einsum('dij,dj->di', inverse, self.y)
-        mean = covariance @ np.einsum('dir,di->r', u, d_inverse_y)
-        v_inverse_y = d_inverse_y - d_inverse_u @ mean
-        value = -float((self.y * v_inverse_y).sum()) - float(np.linalg.slogdet(precision)[1])
-        value -= float(np.linalg.slogdet(d_matrix)[1].sum()) + float(
-            np.square(theta / prior_stds).sum()
+        drive_weighted_residuals = np.einsum('dij,dj->di', drive_precision, self.y)
+        mean = covariance @ np.einsum('dir,di->r', effects, drive_weighted_residuals)
+        weighted_residuals = drive_weighted_residuals - weighted_effects @ mean  # V^-1 y
+        value = -float((self.y * weighted_residuals).sum()) - float(np.linalg.slogdet(precision)[1])
+        value -= float(np.linalg.slogdet(drive_covariance)[1].sum()) + float(
+            np.square(log_factors / prior_stds).sum()
         )
-        # the diagonal blocks of V^-1, one for each drive
-        v_inverse_blocks = inverse - d_inverse_u @ covariance @ d_inverse_u.swapaxes(1, 2)
+        # diagonal blocks of V^-1, one for each drive
+        total_precision = (
+            drive_precision - weighted_effects @ covariance @ weighted_effects.swapaxes(1, 2)
+        )
         scores = np.empty((len(self.y), len(scaled)))
         for k, m in enumerate(scaled):
-            scores[:, k] = np.einsum('di,dij,dj->d', v_inverse_y, m, v_inverse_y)
-            scores[:, k] -= np.einsum('dij,dji->d', v_inverse_blocks, m)
+            scores[:, k] = np.einsum('di,dij,dj->d', weighted_residuals, m, weighted_residuals)
+            scores[:, k] -= np.einsum('dij,dji->d', total_precision, m)
         common_products = [
-            covariance @ np.einsum('dir,dij,djs->rs', d_inverse_u, m, d_inverse_u, optimize=True)
+            covariance
+            @ np.einsum('dir,dij,djs->rs', weighted_effects, m, weighted_effects, optimize=True)
             for m in scaled
         ]
-        products = [inverse @ m for m in scaled]
+        products = [drive_precision @ m for m in scaled]
         information = np.empty((len(scaled), len(scaled)))
         for i, (a, m) in enumerate(zip(products, scaled)):
             for j, b in enumerate(products):
                 cross_products = np.einsum(
-                    'dir,dij,djk,dks->rs', d_inverse_u, m, b, d_inverse_u, optimize=True
+                    'dir,dij,djk,dks->rs', weighted_effects, m, b, weighted_effects, optimize=True
                 )
                 information[i, j] = (
                     np.einsum('dij,dji->', a, b)
@@ -341,7 +350,9 @@ class DriveLikelihood:
                     + np.sum(common_products[i] * common_products[j].T)
                 )
         information = information / 2.0 + np.diag(prior_stds**-2)
-        return DriveFit(groups, causes, theta, value, mean, covariance, information, scores / 2.0)
+        return DriveFit(
+            groups, causes, log_factors, value, mean, covariance, information, scores / 2.0
+        )
 
     def elements(self, fit: DriveFit, name: str) -> tuple[Floats, Floats]:
         """Return the posterior means, (k,), and standard deviations, (k,), of a calibration error.
@@ -407,23 +418,23 @@ def _accel_bias(drives: Sequence[DriveErrors]) -> tuple[Floats, Floats]:
     return covariance @ up.T @ (force_norm - GRAVITY) / len(drives) / SIGMA_GRAVITY**2, covariance
 
 
-def _turned_earth(drives: Sequence[DriveErrors]) -> Floats:
+def _earth_rate_effects(drives: Sequence[DriveErrors]) -> Floats:
     """Return the columns of the matrix U for the rotation of the Earth, (drives, 9, r).
 
     A chain is a sequence of drives in which each drive begins at the rest at which the previous
     drive ended. Each chain has three columns: the components of the rotation in the axes of the
     sensor at the start of the chain.
     """
-    chain_starts = [i for i, each in enumerate(drives) if i == 0 or not each.follows]
+    chain_starts = [i for i, drive in enumerate(drives) if i == 0 or not drive.follows]
     effects = np.zeros((len(drives), ROWS, len(chain_starts), 3))
     # ``frame`` rotates from the sensor axes at the start of a drive to the sensor axes at the start
     # of its chain
     column, frame = -1, np.eye(3)
-    for i, each in enumerate(drives):
+    for i, drive in enumerate(drives):
         if i in chain_starts:
             column, frame = column + 1, np.eye(3)
-        effects[i, :, column] = each.earth @ frame.T * (EARTH_RATE / math.sqrt(3.0))
-        frame = frame @ each.end
+        effects[i, :, column] = drive.earth @ frame.T * (EARTH_RATE / math.sqrt(3.0))
+        frame = frame @ drive.end
     return effects.reshape(len(drives), ROWS, -1)
 
 

@@ -29,8 +29,10 @@ time T varies as much as the mean square of T / (integral of rho^2) independent 
 and T = h + W, this number is 3.0 for white noise and 1.9 for a random walk."""
 
 GROWTH_S = (1.0, 10.0, 30.0, 100.0, 300.0)
+"""Default prediction horizons of `growth_table` in s."""
+
 GROWTH_WINDOW_S = 100.0
-"""Defaults of `growth_table`: prediction horizons in s, and averaging time of the bias in s."""
+"""Default time in s over which `growth_table` assumes that the bias was averaged."""
 
 
 @dataclass(frozen=True)

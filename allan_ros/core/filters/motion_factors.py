@@ -101,7 +101,7 @@ class Cause:
 
     @classmethod
     def from_document(cls, fields: Fields) -> Cause:
-        """Return the cause from the fields of a JSON object; its elements may be negative."""
+        """Return the cause from the fields of a JSON object; ``elements`` may be negative."""
         elements = (Estimate.from_document(each, signed=True) for each in fields.each('elements'))
         return cls(fields.text('name'), fields.number('gain'), tuple(elements))
 
@@ -286,8 +286,8 @@ def noise_in_motion(
     for sensor in SENSORS:
         part, fit = _part(data, fit_without_causes, sensor)
         explained = _ratio(data, fit_with_causes, sensor) if gains else None
-        raised = _raised(data, fit, sensor, part)
-        sensors[sensor] = SensorInMotion(_ratio(data, fit, sensor), *raised, explained)
+        noise_factors = _noise_factors(data, fit, sensor, part)
+        sensors[sensor] = SensorInMotion(_ratio(data, fit, sensor), *noise_factors, explained)
     ratios = zip(drives, data.ratios(fit_without_causes).tolist())
     return NoiseInMotion(
         **sensors,
@@ -355,12 +355,14 @@ def _ratio(data: DriveLikelihood, fit: DriveFit, sensor: str) -> Estimate:
     return Estimate(math.exp(fitted), (math.exp(low), math.exp(high)))
 
 
-def _raised(
+def _noise_factors(
     data: DriveLikelihood, fit: DriveFit, sensor: str, part: NoisePart
 ) -> tuple[Estimate | None, Estimate | None]:
     """Return the factors by which white noise and drift of a sensor are larger in motion.
 
-    A factor is None for noise that is taken to be the same as at rest.
+    A factor is None for noise that is taken to be the same as at rest. If ``part`` is 'all', both
+    factors are the same. Otherwise, a drift of unknown size counts only if it exceeds its upper
+    limit (`LIMIT`), and its factor is relative to this limit.
     """
     half_widths = _quantile(len(fit.scores)) * fit.errors
     factors = {
@@ -378,7 +380,10 @@ def _raised(
 
 
 def _quantile(drives: int, share: float = 0.975) -> float:
-    """Return a quantile of Student's t distribution with ``drives`` - 2 degrees of freedom."""
+    """Return the value below which Student's t distribution has the probability ``share``.
+
+    The distribution has ``drives`` - 2 degrees of freedom.
+    """
     from scipy.special import stdtrit  # slow to import
 
     return float(stdtrit(drives - 2, share))

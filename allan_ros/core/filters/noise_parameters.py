@@ -146,9 +146,11 @@ class Reduction(NamedTuple):
 
 @lru_cache(maxsize=64)
 def reduce_model(model: Model, states: States = 'walk', horizon: float = HORIZON_S) -> Reduction:
-    """Return a reduced-order model that predicts at least the errors of the complete model.
+    """Return a reduced-order model for a state estimator, in place of the complete noise model.
 
-    Processes whose integral is bounded, such as quantization and vibration, are excluded.
+    The errors that the reduced-order model predicts are at least as large as the errors that the
+    complete model predicts, except as stated under Returns. Processes whose integral is bounded,
+    such as quantization and vibration, are excluded.
 
     Parameters
     ----------
@@ -191,13 +193,13 @@ def reduce_model(model: Model, states: States = 'walk', horizon: float = HORIZON
     """
     complete = model.drift
     reductions = [_reduced(complete, 0, states, horizon)]
-    stationary_count = len(_by_time(complete))
+    stationary_count = len(_fastest_first(complete))
     while states == 'walk' and reductions[-1].poor and len(reductions) <= stationary_count:
         reductions.append(_reduced(complete, len(reductions), states, horizon))
     return min(reductions, key=lambda reduction: reduction.poor * reduction.ratio[1])
 
 
-def _by_time(model: Model) -> list[Process]:
+def _fastest_first(model: Model) -> list[Process]:
     """Return the processes with states and a correlation time, the fastest process first."""
     stationary = (p.process for p in model.parts if p.process.parameters and has_states(p.process))
     return sorted(stationary, key=lambda process: process.slowest_time)
@@ -205,7 +207,7 @@ def _by_time(model: Model) -> list[Process]:
 
 def _reduced(complete: Model, fast_count: int, states: States, horizon: float) -> Reduction:
     """Return the reduced-order model with the ``fast_count`` fastest processes as white noise."""
-    fast_processes = _by_time(complete)[:fast_count]
+    fast_processes = _fastest_first(complete)[:fast_count]
     added_variance = sum(
         (part.value * white_density(part.process)) ** 2
         for part in complete.parts
@@ -243,13 +245,20 @@ def horizons(longest: float) -> Floats:
 
 
 def _growth(model: Model, horizon: float) -> Floats:
-    """Return the predicted standard deviation of the error at 30 horizons up to ``horizon``."""
+    """Return the predicted standard deviation of the angle or velocity error, (30,).
+
+    The elements are for the 30 horizons up to ``horizon`` (`horizons`).
+    """
     return model.growth(horizons(horizon), horizon)
 
 
 @lru_cache(maxsize=512)
 def _unit_variance(process: Process, horizon: float) -> Floats:
-    """Return the variance of the error due to a process with the coefficient 1, at 30 horizons."""
+    """Return the variance of the angle or velocity error due to a process, (30,).
+
+    The process has the coefficient 1. The elements are for the 30 horizons up to ``horizon``
+    (`horizons`).
+    """
     variance = np.asarray(_growth(Model.of((1.0, process)), horizon) ** 2)
     variance.setflags(write=False)
     return variance
@@ -296,7 +305,7 @@ def closest_process(
         _growth(complete, horizon) ** 2 - white_variance, np.finfo(float).tiny
     )
     grid = np.geomspace(shortest_horizon(horizon) / 3.0, 100.0 * horizon, 60).tolist()
-    model_times = [process.slowest_time for process in _by_time(complete)]
+    model_times = [process.slowest_time for process in _fastest_first(complete)]
     best, least_error = (0.0, 1.0), math.inf
     for time in [*model_times, *grid] if tau is None else [tau]:
         unit_variance = _unit_variance(kind(time), horizon)

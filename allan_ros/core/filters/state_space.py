@@ -189,8 +189,8 @@ def state_space(model: Model) -> StateSpace:
     Bias instability becomes the Gauss-Markov processes of `flicker_processes`. These processes lack
     the components of bias instability that are slower than the longest correlation time T.
     Therefore, K^2 of the random walk is increased by B^2/(3 pi T). Except for white noise,
-    processes without own states, such as quantization, a ramp or a sinusoid, are excluded (see
-    `has_states`).
+    processes without states of their own, such as quantization, a ramp or a sinusoid, are excluded
+    (see `has_states`).
     """
     n, b, k = (model.value(letter) for letter in 'NBK')
     slow_walk = b / math.sqrt(3.0 * math.pi * LONGEST_TIME_S)
@@ -201,9 +201,9 @@ def state_space(model: Model) -> StateSpace:
 
 
 def has_states(process: Process) -> bool:
-    """Return whether a process has its own states in a `StateSpace`.
+    """Return whether a process has states of its own in a `StateSpace`.
 
-    A ramp has no own states: the slope of the random walk represents the ramp.
+    A ramp has none: the slope of the random walk represents the ramp.
     """
     return process.states() is not None and not process.is_regressor
 

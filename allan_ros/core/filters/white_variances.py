@@ -34,7 +34,8 @@ def white_variances(
         Factor by which N is multiplied.
     horizon : float
         If not 0, the longest time in s that a state estimator without bias states integrates. N is
-        then increased until white noise alone predicts at least the error of the complete model.
+        then increased until white noise alone predicts errors at least as large as the errors that
+        the complete model predicts.
 
     Returns
     -------
