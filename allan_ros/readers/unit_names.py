@@ -66,7 +66,8 @@ def plain_unit(text: str) -> str:
     ('deg/s', 'ms-2', 'deg/s', 'us')
     """
     text = unicodedata.normalize('NFKC', re.sub('[°º˚]', 'deg', text)).lower()
-    text = text.translate(str.maketrans({'°': 'deg', 'μ': 'u', '−': '-', '∕': '/'}))
+    for sign, replacement in (('°', 'deg'), ('μ', 'u'), ('−', '-'), ('∕', '/')):
+        text = text.replace(sign, replacement)
     text = re.sub(r'\s*\bper\b\s*', '/', text)
     if re.search(r'[/^\s*·-]', text):
         for word, spellings in _SPELLINGS.items():
