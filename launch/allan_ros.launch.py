@@ -32,8 +32,8 @@ ARGUMENTS = {
     'hardware_id': ('', 'serial number of each IMU, separated by commas'),
     'relay': (
         'false',
-        'true: republish with covariances, on imu/data_with_covariance, or on '
-        '<imu>_with_covariance of each of several topics',
+        'true: republish the Imu messages with covariances, on imu/data_with_covariance, or on '
+        '<imu>_with_covariance for each of several topics',
     ),
     'apart': ('false', 'true: run accumulator, estimator and relay in separate processes'),
     'use_sim_time': ('false', 'true: time comes from /clock'),

@@ -82,8 +82,9 @@ Results go to stdout, all else to stderr. `analyze --json` prints the content of
 |---|---|
 {exits}
 
-`NO_COLOR` and `FORCE_COLOR` turn colors off and on ([no-color.org](https://no-color.org)),
-`COLUMNS` sets the width. By default, the terminal determines colors and width.
+The environment variable `NO_COLOR` turns colors off, and `FORCE_COLOR` turns colors on unless
+`NO_COLOR` is set ([no-color.org](https://no-color.org)). The variable `COLUMNS` sets the width. By
+default, the terminal determines colors and width.
 """
 
 

@@ -121,9 +121,9 @@ COMPARE_OPTIONS = (
     ),
     Option(
         ('--common',),
-        'separate the noise that IMUs on one body have in common (vibration) from the own noise of '
-        'each IMU; the inputs are recordings made at the same time, or a bag with several Imu '
-        'topics',
+        'separate the noise that IMUs on one body have in common (such as vibration) from the '
+        'noise of each individual IMU; the inputs are recordings made at the same time, or a bag '
+        'with several Imu topics',
     ),
     Option(
         ('--topic',),

@@ -154,7 +154,8 @@ def build_parser(verb: str = '') -> AllanParser:
         add_help=False,  # --help is added below, so that the verbs come first
         epilog='`allan VERB --help` shows the options of a verb.\n\n'
         + _exits_text(EXITS)
-        + '\n\nNO_COLOR turns colors off, FORCE_COLOR on; COLUMNS sets the width.',
+        + '\n\nEnvironment variables: NO_COLOR turns colors off, FORCE_COLOR turns colors on, '
+        'COLUMNS sets the width.',
     )
     verbs = parser.add_subparsers(
         title='verbs', prog='allan', dest='verb', metavar='VERB', required=True

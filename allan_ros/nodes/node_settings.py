@@ -180,8 +180,8 @@ class EstimatorSettings(CheckedSettings):
     )
     motion_limit: float = parameter(
         10.0,
-        'Warn when the error in motion, divided by its prediction from the noise at rest, exceeds '
-        'this factor with the entire 95 % interval.',
+        'Warn when the 95 % interval of a factor in motion lies above this limit. This factor is '
+        'the error in motion divided by its prediction from the noise at rest.',
         low=1.0,
         high=1e6,
     )
@@ -200,8 +200,8 @@ class RelaySettings(CheckedSettings):
 
     enabled: bool = fixed_parameter(
         False,
-        'Whether allan_monitor republishes each Imu with covariances: on imu/data_with_covariance, '
-        'or on <topic>_with_covariance of each of several topics.',
+        'Whether allan_monitor republishes each Imu message with covariances. The output topic is '
+        'imu/data_with_covariance, or <topic>_with_covariance for each of several input topics.',
     )
     horizon: float = parameter(
         0.0,
@@ -238,12 +238,12 @@ class PushSettings(CheckedSettings):
     )
     enabled: bool = parameter(
         True,
-        'Whether parameters are set; if false, the values that were found are restored.',
+        'Whether parameters are set; if false, the values before the first change are restored.',
     )
     max_factor: float = parameter(
         10.0,
-        'A value that differs by more than this factor from the value that was found in the node '
-        'is not set.',
+        'A value is not set if it differs by more than this factor from the value that the '
+        'parameter had before the first change.',
         low=1.0,
         high=1e6,
     )
@@ -252,7 +252,8 @@ class PushSettings(CheckedSettings):
     )
     period: float = parameter(
         300.0,
-        'Shortest time between two changes of parameters; former values are restored at once.',
+        'Shortest time between two changes of parameters. The values before the first change are '
+        'restored without this delay.',
         's',
         0.1,
         604800.0,

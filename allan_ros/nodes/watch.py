@@ -336,7 +336,7 @@ def make_parser() -> argparse.ArgumentParser:
         prog='allan_watch',
         description=__doc__,
         epilog='exit codes: 0 done; 1 no status was received; 2 wrong command line. '
-        'NO_COLOR turns colors off, COLUMNS sets the width.',
+        'Environment variables: NO_COLOR turns colors off, COLUMNS sets the width.',
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument('--once', action='store_true', help='print the present state and exit')

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Noise that sensors at rest have in common, such as vibration, and the own noise of each sensor.
+"""Noise that sensors at rest have in common, such as vibration, and noise of individual sensors.
 
 Method
 ------
@@ -8,9 +8,9 @@ The Allan covariance of two sensors a and b is (V(a) + V(b) - V(a - b)) / 2, whe
 variance of the samples of a sensor, or of the differences of the samples of both sensors.
 
 A signal that all sensors measure equally cancels in the differences. From the differences of three
-or more sensors, the own noise of each sensor follows ("three-cornered hat": Gray & Allan, A method
-for estimating the frequency stability of an individual oscillator, 28th Symp. Frequency Control,
-1974). `transfer` tests whether all sensors measure the common signal equally.
+or more sensors, the noise of each individual sensor follows ("three-cornered hat": Gray & Allan, A
+method for estimating the frequency stability of an individual oscillator, 28th Symp. Frequency
+Control, 1974). `transfer` tests whether all sensors measure the common signal equally.
 """
 
 from __future__ import annotations

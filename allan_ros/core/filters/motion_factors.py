@@ -136,9 +136,10 @@ class SensorInMotion:
     Attributes
     ----------
     factor : Estimate
-        Root mean square error of all drives according to the fit, divided by its prediction. For
-        the gyro, this is the error of the angle; for the accelerometer, the error of the velocity.
-        The model contains no calibration error.
+        Root mean square, over all drives, of the error that the noise of the sensor in motion
+        causes, divided by the error that its noise at rest would cause. For the gyro, this is the
+        error of the angle; for the accelerometer, the error of the velocity. The model contains no
+        calibration error.
     white, slow : Estimate or None
         Factors of N, and of K and other drift, that explain this ratio; None for noise that is
         taken to be the same as at rest. Errors due to white noise grow with the root of the
