@@ -15,7 +15,7 @@ from geometry_msgs.msg import TwistWithCovarianceStamped
 from rclpy.node import Node
 
 from ..core.allan.at_rest import TurnOnBias
-from ..core.allan.periods import KEPT_SEGMENTS
+from ..core.allan.periods import KEPT_SEGMENTS, MIN_MEANS
 from ..core.allan.sums import AllanSums
 from ..core.errors import AllanError, one_line
 from ..core.estimate import Estimate
@@ -158,7 +158,8 @@ def replaced_share(before: Sequence[AllanSums], after: Sequence[AllanSums]) -> f
     If ``before`` contains several `AllanSums`, their largest share is returned. The share is 0
     while sums only grow, and 1 if ``after`` has no sums of the same IMU and axes. The missing
     samples are counted from the starts and lengths of the segments, and are at least the decrease
-    of the total number of samples. `AllanSums` list only their `KEPT_SEGMENTS` longest segments.
+    of the total number of samples. Segments that are too short to be listed in the block means are
+    not counted.
     """
     shares = [0.0]
     for old in before:
@@ -198,10 +199,12 @@ def _lost(old: AllanSums, new: AllanSums) -> int:
     """Return the number of samples of the old sums that are missing in the new sums."""
     new_samples = _samples_by_start(new)
     fewest_listed = min(new_samples.values()) if len(new_samples) >= KEPT_SEGMENTS else 0
+    # a segment is listed only if it has enough blocks, and the blocks become longer as sums grow
+    fewest_listed = max(fewest_listed, MIN_MEANS * max((m.step for m in new.means), default=0) - 1)
     lost = sum(
         samples - min(samples, new_samples[start])
         for start, samples in _samples_by_start(old).items()
-        # short segments may be missing only because the list of segments has a limited length
+        # short segments may be missing only because they are too short for the list of segments
         if start in new_samples or samples > fewest_listed
     )
     return max(lost, old.samples - new.samples)

@@ -15,6 +15,7 @@ pytest.importorskip('rclpy')
 
 from std_msgs.msg import String
 
+from allan_ros.core.allan.running import RunningSums
 from allan_ros.core.findings import finding
 from allan_ros.core.imu import ImuBatch
 from allan_ros.core.stream.pipeline import ImuStream
@@ -56,6 +57,21 @@ def test_growing_sums_are_not_replaced(still_imu) -> None:
     assert replaced_share(pieces[0], ()) == 1.0
     other = sums_of(still_imu(12_000, start_ns=10**18 + 10**12))
     assert replaced_share(pieces[0], other) == 1.0  # more samples, but of another time
+
+
+def test_short_rests_before_a_long_rest_are_not_replaced() -> None:
+    """The block means of short segments are removed when the blocks become longer."""
+    running, samples = RunningSums(), np.random.default_rng(1).normal(size=(3000, 6))
+    for i in range(31):
+        running.update(samples[:112], i * 10**11, i * 10**11 + 111 * 10**7)
+        running.end_segment()
+    sums = []
+    for i in range(4):
+        start_ns = 10**13 + i * 3000 * 10**7
+        running.update(samples, start_ns, start_ns + 2999 * 10**7)
+        sums.append((running.sums,))
+    assert [len(each[0].means) for each in sums] == [32, 32, 1, 1]
+    assert max(map(replaced_share, sums, sums[1:])) == 0.0
 
 
 def test_replaced_sums_withdraw_the_model_at_once_and_are_fitted(graph, still_imu) -> None:
