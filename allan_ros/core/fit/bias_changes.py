@@ -250,7 +250,7 @@ settling is not searched for in a shorter first segment."""
 TESTED_RECORDINGS = 4
 """Largest number of recordings that are tested for a settling: the longest recordings."""
 
-MOST_LEFT = 1.0
+LARGEST_REMAINDER = 1.0
 """Largest remainder of a settling for which the sensor is assumed to have settled. The remainder is
 measured at the end of the first segment with block means, and is divided by the Allan deviation of
 the noise at the time constant."""
@@ -269,7 +269,7 @@ class SensorSettling:
         Indices of the axes that settle.
     gain : float
         Gain in -2 log L, summed over the axes, in the recording with the largest gain.
-    left : float
+    remainder : float
         Remainder of the settling at the end of the first segment with block means, divided by the
         Allan deviation of the noise at the time constant: the largest of these ratios for all
         settling axes and recordings.
@@ -278,12 +278,12 @@ class SensorSettling:
     settling: Settling
     axes: tuple[int, ...]
     gain: float
-    left: float
+    remainder: float
 
 
 @dataclass(frozen=True, eq=False)
 class _Sensor:
-    """Noise of the axes of one sensor in the first segment of a recording that has block means."""
+    """Segment in which a settling is searched for, and noise of the axes of one sensor in it."""
 
     segment: SegmentStatistics
     noise: Mapping[int, AxisSegment]
@@ -358,7 +358,7 @@ def settling(sums: AllanSums, known: Statistics, axes: Sequence[int]) -> SensorS
         return None
     sizes: dict[int, Floats] = {}
     settling_axes: set[int] = set()
-    largest_left = 0.0
+    largest_remainder = 0.0
     for i, sensor in sensors.items():
         effects = sensor.effects(time)
         if sum(max(fitted.gain, 0.0) for fitted in effects.values()) < GAIN_SETTLING:
@@ -372,11 +372,13 @@ def settling(sums: AllanSums, known: Statistics, axes: Sequence[int]) -> SensorS
             size[axis] = float(fitted.sizes[0]) * math.exp(min(elapsed_samples / time, 50.0))
             settling_axes.add(axis)
             remaining = abs(float(fitted.sizes[0])) * math.exp(-segment.means.samples / time)
-            largest_left = max(
-                largest_left, remaining / sensor.noise[axis].deviation(fitted.fit, time)
+            largest_remainder = max(
+                largest_remainder, remaining / sensor.noise[axis].deviation(fitted.fit, time)
             )
         sizes[i] = size
-    return SensorSettling(Settling(time, sizes), tuple(sorted(settling_axes)), gain, largest_left)
+    return SensorSettling(
+        Settling(time, sizes), tuple(sorted(settling_axes)), gain, largest_remainder
+    )
 
 
 def _decays(times: Sequence[float], means: BlockMeans) -> Floats:
@@ -393,8 +395,8 @@ def settling_findings(sums: AllanSums, found: Sequence[SensorSettling]) -> list[
         axes = tuple(sums.axes[a] for a in sensor_settling.axes)
         size = quantity(max(sizes), sensor_of(axes[0]), 'signal')
         time = sensor_settling.settling.time * tau0
-        if sensor_settling.left > MOST_LEFT:
-            further_s = time * math.log(sensor_settling.left / MOST_LEFT)
+        if sensor_settling.remainder > LARGEST_REMAINDER:
+            further_s = time * math.log(sensor_settling.remainder / LARGEST_REMAINDER)
             needed_s = max(r.samples for r in sums.recordings) * tau0 + further_s
             findings.append(finding('not_settled', axes, size=size, time=time, how_long=needed_s))
         else:

@@ -90,7 +90,7 @@ class LowBandFit:
 
     @classmethod
     def all_of(cls, data: AxisData, fit: Fit) -> list[LowBandFit]:
-        """Return one object for each group of segments, from the data and the fit of an axis."""
+        """Return the matrices of an axis for each group of segments, computed from a fit."""
         matrices = []
         for group, d in zip(data.low, fit.columns.low):
             v = np.asarray(np.linalg.inv(np.tensordot(fit.p, d, 1)), np.float64)

@@ -86,7 +86,7 @@ def axis_fit(selected: SelectedModel, tau0: float, brief: bool = False) -> AxisF
         profile_interval(data, fit, i, errors.information) for i in range(len(RANDOM_TERMS))
     ]
     if not rules.signed and intervals[Q].gain <= GAIN_RESOLVED:
-        # if an unresolved q were fitted, the error of N would be nearly twice as large
+        # if an unresolved Q were fitted, the error of N would be nearly twice as large
         fit = data.solve(fit.components, fit.columns, fit.p, {Q: 0.0})
     variances, covariance = fit.p * data.scale, errors.covariance * data.scale**2
     noise = {

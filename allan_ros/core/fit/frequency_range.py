@@ -6,9 +6,9 @@ Low-pass filter
 ---------------
 A low-pass filter in the sensor removes power at high frequencies. No noise type describes this loss
 of power. Such an axis is fitted only below the highest frequency for which the model passes its
-tests. In this fit, quantization noise (a term in f^2) and a term in f^4 may be negative, and
-describe the remaining effect. If the model passes for no frequency, octaves that differ from the
-model get less weight.
+tests. In this fit, the terms in f^2 (quantization noise) and in f^4 may be negative, and describe
+the remaining effect of the filter. If the model passes for no frequency, octaves that differ from
+the model get less weight.
 """
 
 from __future__ import annotations
@@ -159,7 +159,7 @@ class SelectedModel(NamedTuple):
 class _TestResults(NamedTuple):
     """Results of the tests of a model."""
 
-    fits: bool  # whether neither a single octave nor all octaves together differ from the model
+    fits: bool  # whether the model agrees with each octave and with all octaves together
     looks_filtered: bool  # whether the spectrum bends like the spectrum of a low-pass filter
 
     # whether the white noise is not known well, or processes of the model may imitate a filter

@@ -41,8 +41,9 @@ POWERS = (-2, -1, 0, 1, 2)
 """Exponents of tau, in the order of `TERMS`."""
 
 PAPER_FACTORS = (3.0, 1.0, FLICKER_FLOOR, 1.0 / 3.0, 0.5)
-"""Factors of the squared coefficients in A_p, in the order of `TERMS`. The A_p are 3 Q^2, N^2,
-(2 ln2/pi) B^2, K^2/3 and R^2/2 (Cong et al. 2019, eq. 3; IEEE Std 952-1997 annex C)."""
+"""Factors that convert the squares of Q, N, B, K and R to the coefficients A_p of tau^p in the
+Allan variance: 3 Q^2, N^2, (2 ln2/pi) B^2, K^2/3 and R^2/2 (Cong et al. 2019, eq. 3; IEEE Std
+952-1997 annex C)."""
 
 
 def fit_paper(sums: AllanSums) -> NoiseModel:
@@ -107,7 +108,8 @@ DEFAULT_RECORD = 9.0
 unknown. Most tools end their curves at a ninth of the recording."""
 
 FREEDOM_PER_AVERAGE = 0.75
-"""Degrees of freedom of an overlapping Allan variance at tau, divided by record/tau - 1."""
+"""Degrees of freedom of an overlapping Allan variance at the averaging time tau, divided by
+L/tau - 1, where L is the length of the recording."""
 
 LEAST_ERROR = 0.05
 """Smallest relative standard error of an Allan variance. It accounts for errors that neighboring

@@ -28,7 +28,7 @@ Ints = NDArray[np.int64]
 
 
 Q, N, B, K = range(4)
-"""Indices of `RANDOM_TERMS` in all arrays of variance coefficients (q, w, b, k)."""
+"""Indices of the four random terms in `RANDOM_TERMS`, and in all arrays of their coefficients."""
 
 TERMS = tuple(LETTERS)
 """Letters of the five terms: Q, N, B, K and R (docs/glossary.md)."""

@@ -118,8 +118,8 @@ def _kernels() -> tuple[Floats, Floats]:
     is for all octaves of samples together, the second for one octave of means.
     """
 
-    def kernel(index: int) -> Floats:
-        _, size, bins = octave(index)
+    def kernel(octave_index: int) -> Floats:
+        _, size, bins = octave(octave_index)
         a = tapers(size, bins)
         r = np.fft.ifft(np.abs(np.fft.fft(a, 2 * size)) ** 2).real[:, :size]
         r[:, 1:] *= 2.0
