@@ -33,14 +33,14 @@ from .timing import has_time
 
 BACKWARD_RUN = 16
 """If this many consecutive samples have stamps earlier than the latest stamp, the clock was set
-back; soon after another such jump, more samples are required (`JUMP_DISTANCE`). All but the last of
-these samples are excluded."""
+back. After jumps in short succession, more samples are required (`JUMP_DISTANCE`). All but the last
+of these samples are excluded."""
 
 JUMP_DISTANCE = 4096
-"""If the clock is set back within this number of samples after the start or after the last time,
-the number of earlier stamps in a row that is required the next time is doubled. Otherwise, this
-number is `BACKWARD_RUN`. Without the doubling, stamps in random order would split the data very
-often."""
+"""The clock counts as set back after a number of consecutive samples with backward stamps. This
+number is `BACKWARD_RUN` at first. It is doubled if the clock is set back within `JUMP_DISTANCE`
+samples after the start, or after the clock was last set back. Otherwise, it becomes `BACKWARD_RUN`
+again. Without the doubling, stamps in random order would split the data very often."""
 
 REORDER = 32
 """Longest delay, in sample periods, of a sample that is sorted because it arrived out of order."""
@@ -144,7 +144,10 @@ class StampSorter:
     """
 
     def __init__(self, stamps: Stamps = np.empty(0, np.int64)) -> None:
-        """Learn from the first stamps, (n,), in ns, up to which delay samples are sorted."""
+        """Compute the longest delay for which a sample is sorted.
+
+        ``stamps``, (n,), are the first stamps in ns. With fewer than two, no sample is sorted.
+        """
         self.sorted = 0
         places = min(len(stamps) - 1, REORDER)
         sorted_stamps = np.sort(stamps)

@@ -39,9 +39,9 @@ MOST_RATE = 200.0
 """Samples are averaged down to at most this rate in Hz before the integration."""
 
 MOST_KEPT = 1 << 20
-"""Largest number of samples that are kept of a drive, and of the beginning and of the end of a
-rest: 48 MiB each. Of the end of a rest, only complete blocks are removed, so up to one block more
-is kept."""
+"""Largest number of samples that are kept of a drive, of the beginning of a rest, and of the end of
+a rest (48 MiB each). At the end of a rest, up to one block more is kept, because only complete
+blocks are removed."""
 
 MOST_DRIVES = 60
 """Largest number of drives whose errors are stored, about 50 kB each; the oldest are removed."""
@@ -93,7 +93,8 @@ class DriveRecorder:
         self._tau0 = tau0
         self._most = min(round((LONGEST_DRIVE_S + LONGEST_AHEAD_S) / tau0), MOST_KEPT)
         self._rest_samples = max(min(round(REST_S / tau0), MOST_KEPT), 1)
-        # samples after the last sample at rest, about `_most` at most
+        # samples after the last sample at rest; while there are more than `_most`, the oldest block
+        # is removed
         self._raw: deque[ImuBatch] = deque()
 
         # whether the drive is too long, so that its first samples are removed

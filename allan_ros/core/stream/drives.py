@@ -218,7 +218,7 @@ def drive_errors(drive: Drive) -> DriveErrors:
     n, duration = len(rates), drive.duration
     rotations_after = _cumulative_products(rotation_matrices(rates * dt))
     half_rotations = rotation_matrices(rates * (dt / 2.0))
-    # C at the middle of each sample
+    # matrix C (see the module text) at the middle of each sample, (n, 3, 3)
     rotations = np.concatenate([half_rotations[:1], rotations_after[:-1] @ half_rotations[1:]])
     first_force, last_force = drive.before.accel, drive.after.accel
     last_rotation = rotations_after[-1]
@@ -343,11 +343,12 @@ class _DriveBlocks(NamedTuple):
         return cls(float(edges[1]), SLOW_BLOCKS, first_shares, block_of_sample, last_shares)
 
     def weights(self, samples: Floats, first: Floats, last: Floats) -> Floats:
-        """Return the residuals per unit of the mean error of each axis in each block.
+        """Return the weight of the mean error of each axis in each block, (blocks, 9, 6).
 
-        The result is (blocks, 9, 6). ``samples``, (n, 9, 6), are the residuals per unit of the
-        error of each sample. ``first`` and ``last``, (9, 6), are the residuals per unit of the
-        error of the mean at each rest.
+        A weight is the change of one of the 9 residuals of the drive per unit of an error of one of
+        the 6 axes. ``samples``, (n, 9, 6), are the weights of the errors of the samples. ``first``
+        and ``last``, (9, 6), are the weights of the errors of the means at the rests before and
+        after the drive.
         """
         first_samples = np.flatnonzero(np.diff(self.block_of_sample, prepend=-1))
         weights = np.zeros((self.number, *first.shape))

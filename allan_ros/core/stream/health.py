@@ -34,9 +34,9 @@ RATE_CHANGE = 0.02
 """Relative difference between two sample periods above which the rate has changed."""
 
 REPORTED_DROPPED_SHARE = 0.02
-"""Share of samples with backward stamps above which 'stamps_mixed' is reported for bursty stamps.
-The gaps that the excluded samples leave cannot be found then, and at this share N becomes 1 % too
-large."""
+"""For bursty stamps, 'stamps_mixed' is reported if more than this share of the samples is excluded
+because of backward stamps. The gaps that excluded samples leave in bursty stamps cannot be found.
+With this share, N is 1 % too large."""
 
 REPORTED_INTERPOLATED_SHARE = 1e-3
 """Share of interpolated samples above which they are reported."""
@@ -193,7 +193,7 @@ class StreamHealth:
     sums_frame_id: str = ''  # frame_id of the first Allan sums; `frame_id` if there are none
     frame_changes: int = 0
 
-    # how often other Allan sums became the result, after a motion or a change of the noise
+    # number of noise levels whose Allan sums were the result until a later level replaced them
     discarded: int = 0
 
     # axis -> largest ratio of its noise at rest to the noise floor; empty if no noise increased, or

@@ -6,12 +6,12 @@ Method
 ------
 The stream is classified in windows of about half a second, or of 16 samples if these last longer. A
 window is moving if its variance, its largest deviation, the step of its mean or its mean angular
-rate exceeds a limit, if its noise is much smaller, or if its samples are not plausible. The limits
-are derived from the settings and the noise floor, which is the noise of the IMU at rest. A window
-of white noise is classified as moving with a probability below 1e-8 (at 50 Hz and above, 1e-11), so
-the exclusion of windows does not bias N. The variance at which a motion begins is larger than the
-variance at which the motion ends (hysteresis). Some windows before and after a motion are also
-excluded.
+rate exceeds a limit, if its noise is much smaller than the noise floor (the noise of the IMU at
+rest), or if its samples are not plausible. The limits are derived from the settings and the noise
+floor. A window of white noise is classified as moving with a probability below 1e-8 (at 50 Hz and
+above, 1e-11), so the exclusion of windows does not bias N. The variance at which a motion begins is
+larger than the variance at which the motion ends (hysteresis). Some windows before and after a
+motion are also excluded.
 
 First, isolated spikes are replaced. On an axis whose noise has heavy tails, isolated large values
 are noise: they stay in the data and are not regarded as motion. The samples of a shock are also
@@ -19,7 +19,7 @@ replaced.
 
 The noise floor is learned from the first windows in which the IMU can be at rest, and then updated
 from the windows at rest in each block of windows. If the noise remains different while the IMU is
-at rest, or if other axes are clipped than before, another noise level begins. Windows are counted
+at rest, or if the clipped axes change, another noise level begins. Windows are counted
 from the start of the stream or the last gap. Therefore, the decisions do not depend on how the
 samples are divided into batches.
 """
@@ -61,7 +61,8 @@ MOST_WINDOW = 1 << 15
 """Largest number of samples in a window, which is reached at 65 kHz: 50 MB are then buffered."""
 
 CHECKED_WINDOWS = BLOCK_WINDOWS // 4
-"""Number of windows after which a check decides whether another noise level begins or continues."""
+"""Number of windows between two checks. A check decides whether the present noise level continues,
+a new noise level begins, or the other stored noise level continues."""
 
 ESTABLISHED_S = 45.0
 """A noise level with less than this time in s at rest, or with clipped samples, is not established.
@@ -88,10 +89,10 @@ class MotionGate:
     which `RestFilter` decides whether a window is at rest. For example, a window is moving if its
     standard deviation is more than ``settings.motion_ratio`` times the noise floor, or if its mean
     angular rate differs from the rate at rest by more than ``settings.rate_limit`` and more than
-    noise explains. After every `CHECKED_WINDOWS` windows, another noise level begins or continues
-    if it fits these windows better than the present level. ``period_ns`` is the sample period in
-    ns. ``levels``, ``events``, and the numbers of spikes and splits in ``counts`` are changed in
-    place.
+    noise explains. After every `CHECKED_WINDOWS` windows, a new noise level begins, or the other
+    stored noise level continues, if it fits the latest windows better than the present level.
+    ``period_ns`` is the sample period in ns. ``levels``, ``events``, and the numbers of spikes and
+    splits in ``counts`` are changed in place.
     """
 
     def __init__(
@@ -134,7 +135,7 @@ class MotionGate:
 
     @property
     def _clipped(self) -> tuple[Finding, ...]:
-        """A finding for each axis that is clipped now, but not in the Allan sums of the result."""
+        """A finding for each axis that is clipped now, but not in the published Allan sums."""
         floor, published_floor = self._levels.present.floor, self._levels.published.floor
         if floor is None or published_floor is None:
             return ()
@@ -341,15 +342,16 @@ class MotionGate:
         return True
 
     def _clipping_changes(self, rows: Floats) -> bool:
-        """Return whether different axes are clipped in the next samples, (axes, n), than before.
+        """Return whether the clipped axes change in the next samples, (axes, n).
 
-        Each group of `CHECKED_WINDOWS` windows up to a check is compared with the noise floor.
+        The samples since the last check are prepended to the next samples. Each complete group of
+        `CHECKED_WINDOWS` windows is compared with the noise floor.
         """
         recent = self._recent.last(self._number % CHECKED_WINDOWS)
         rows = np.concatenate([recent.rows, rows], axis=1) if len(recent) else rows
         size = CHECKED_WINDOWS * self.size
         groups = rows[:, : rows.shape[1] // size * size].reshape(len(rows), -1, size)
-        return not self._rest.floor.has_clipping(groups)
+        return not self._rest.floor.has_same_clipping(groups)
 
     # --- the noise level --------------------------------------------------------------------------
 
@@ -399,7 +401,7 @@ class MotionGate:
             self._replace('stuck', self._learned_floor(recent.samples))
             return True
         if recent.still.any():
-            if recent.still.all() and not floor.has_clipping(rows):
+            if recent.still.all() and not floor.has_same_clipping(rows):
                 self._change_clipping(recent)
                 return True
             return False
@@ -411,7 +413,7 @@ class MotionGate:
         return self._decreases_to(learned, recent) or self._has_increased()
 
     def _change_clipping(self, recent: RecentWindows) -> None:
-        """Begin another level, because different axes are clipped in the latest windows."""
+        """Begin another level, because the clipped axes have changed in the latest windows."""
         floor, learned = self._rest.floor, self._learned_floor(recent.samples)
         is_newly_clipped, variance = floor.newly_clipped(recent.rows), recent.windows.variance
         if is_newly_clipped.any():
@@ -481,7 +483,7 @@ class MotionGate:
         self._begin_level('motion' if reason == 'moving' else 'stuck')
 
     def _try_other_level(self, floor: NoiseFloor, change: Change) -> None:
-        """Begin another noise level on trial, whose Allan sums are not the result yet."""
+        """Begin another noise level on trial; its Allan sums are not published yet."""
         motion = self._rest.motion
         began_ns = motion.began_ns if motion is not None else self._recent.latest_ns
         self._rest.end_segment()
@@ -489,7 +491,7 @@ class MotionGate:
         self._begin_level(change)
 
     def _resume(self) -> None:
-        """Continue the other noise level, because its noise has returned."""
+        """Continue the other stored noise level, because the noise is at that level again."""
         self._rest.end_segment()
         change = self._levels.change
         began_ns = self._levels.resume()
@@ -498,8 +500,8 @@ class MotionGate:
             self._events.add(seconds, Event(change, began_ns, seconds))
         self._begin_level(change)
 
-    def _begin_level(self, cut: str) -> None:
-        self._rest.begin_level(cut)
+    def _begin_level(self, split_reason: str) -> None:
+        self._rest.begin_level(split_reason)
         noise = self._recent.last(CHECKED_WINDOWS).white_noise
         self._former_noise = dict(zip(self._axes, noise.tolist()))
         self._recent, self._number = RecentWindows(), 0

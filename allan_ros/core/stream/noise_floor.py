@@ -51,7 +51,7 @@ one."""
 
 SAME_GRAVITY = 0.15
 """Largest relative change of the magnitude of the mean specific force that is attributed to a
-motion. A larger change is attributed to a fault or to another unit."""
+motion. A larger change is attributed to a fault or to another unit of measurement."""
 
 GRAVITY_CHANGE = 0.5
 """Largest change of the magnitude of the mean specific force, in m/s^2, that is attributed to a
@@ -169,10 +169,10 @@ class NoiseFloor:
 
         ``gyro``, (axes,), flags the axes of the gyro. Each part, (axes, n), is a sequence of
         samples without a gap. A part with fewer than ``size`` samples is one window, and a part
-        with fewer than two samples is ignored. If there is no other part, all numbers are 0, except
-        for ``ratio``, which is NaN. Windows in which an axis repeats one value (`is_stuck`) do not
-        contribute to ``variance`` and ``mean`` of this axis, if the axis changes in at least a
-        quarter of the windows.
+        with fewer than two samples is ignored. If no part has two samples, all estimates are 0,
+        except for ``ratio``, which is NaN. Windows in which an axis repeats one value (`is_stuck`)
+        do not contribute to ``variance`` and ``mean`` of this axis, if the axis changes in at least
+        a quarter of the windows.
         """
         parts = [rows for rows in parts if rows.shape[1] > 1]
         zeros = np.zeros(len(gyro))
@@ -316,13 +316,14 @@ class NoiseFloor:
         return float(np.linalg.norm(self.mean[~self.gyro])) if has_three_axes else np.nan
 
     def foreign(self, rows: Floats, windows: Windows, size: int) -> Flags:
-        """Return which windows do not contain measurements in the units of this floor, (k,).
+        """Return which windows cannot be measurements in the units of this noise floor, (k,).
 
-        In such a window, the mean specific force has another magnitude than at rest, or at least
-        the share `IDLE_SHARE` of the samples of a sensor are idle. The magnitude is compared only
-        if the accelerometer has three axes. Only a sensor with three axes, all with noise above the
-        resolution, is searched for idle samples. ``rows``, (axes, k * size), are the samples of the
-        windows.
+        A window is flagged if the magnitude of its mean specific force differs from the magnitude
+        at rest by more than `GRAVITY_CHANGE` and `SAME_GRAVITY` allow, or if at least the share
+        `IDLE_SHARE` of the samples of a sensor are zero, or repeat the previous sample, on all axes
+        of the sensor. The magnitude is compared only if the accelerometer has three axes. Only a
+        sensor with three axes, all with noise above the resolution, is searched for zeros and
+        repeats. ``rows``, (axes, k * size), are the samples of the windows.
         """
         is_foreign = np.zeros(windows.mean.shape[1], bool)
         for axes in self._known_sensors:
@@ -335,7 +336,7 @@ class NoiseFloor:
 
     @cached_property
     def _known_sensors(self) -> list[slice]:
-        """The axes of each sensor that has three axes, all with noise above the resolution."""
+        """One slice of axis indices per sensor with three axes, all with noise above `lsb`."""
         is_resolved = self.variance > self.lsb**2
         return [
             axes for axes in _complete_sensors(tuple(self.gyro.tolist())) if is_resolved[axes].all()
@@ -353,18 +354,19 @@ class NoiseFloor:
         return gravity_unit(later.gravity) == 'm/s^2' != gravity_unit(self.gravity)
 
     def newly_clipped(self, rows: Floats) -> Flags:
-        """Return which axes are clipped now, but were not when the floor was learned.
+        """Return which axes are clipped in ``rows``, but were not when the floor was learned.
 
-        ``rows`` are the samples now: (axes, n), or (axes, groups, n) for several groups of n
+        ``rows`` are the latest samples: (axes, n), or (axes, groups, n) for several groups of n
         samples. The result is (axes,), or (groups, axes) for several groups.
         """
         return np.asarray((self.clipped == 0.0) & (clipped_shares(rows).T >= CLIPPED_SHARE))
 
-    def has_clipping(self, rows: Floats) -> bool:
-        """Return whether the same axes are clipped now as when the floor was learned.
+    def has_same_clipping(self, rows: Floats) -> bool:
+        """Return whether the same axes are clipped in ``rows`` as when the floor was learned.
 
-        ``rows`` are the samples now: (axes, n), or (axes, groups, n) for several groups of n
-        samples, of which each must have the same clipped axes.
+        ``rows`` are the latest samples: (axes, n), or (axes, groups, n) for several groups of n
+        samples. The result is True only if it is True for each group. `CLIPPED_SHARE` and
+        `UNCLIPPED` are the limits at which the clipping of an axis begins and ends.
         """
         if self.newly_clipped(rows).any():
             return False
@@ -377,11 +379,11 @@ class NoiseFloor:
     def is_nearer(self, other: NoiseFloor, rows: Floats, windows: Windows) -> bool:
         """Return whether samples, (axes, n), fit this noise floor better than another noise floor.
 
-        ``windows`` are the statistics of the samples. If different axes are clipped at the two
-        floors, the clipped axes of the samples decide. Otherwise, the noise decides.
+        ``windows`` are the statistics of the samples. If the two floors have different clipped
+        axes, the clipped axes of the samples decide. Otherwise, the noise decides.
         """
         if ((self.clipped > 0.0) != (other.clipped > 0.0)).any():
-            return self.has_clipping(rows) and not other.has_clipping(rows)
+            return self.has_same_clipping(rows) and not other.has_same_clipping(rows)
         return self.distance(windows) < other.distance(windows)
 
     def distance(self, windows: Windows) -> float:
@@ -398,7 +400,7 @@ class NoiseFloor:
         """Return which axes, (axes,), had no noise when the floor was learned, but have noise now.
 
         Such an axis may have changed when the floor was learned, but in less than a quarter of the
-        windows. ``rows``, (axes, n), are the samples now.
+        windows. ``rows``, (axes, n), are the latest samples.
         """
         is_revived = self.variance == 0.0
         if is_revived.any():
@@ -412,11 +414,12 @@ class NoiseFloor:
         than before. The IMU moved if the former noise was very large (`SHAKEN_RATIO`), was not
         stationary or had low frequencies, or if the mean rate or the direction of gravity changed.
 
-        Without motion, a fault of a few axes, a setting of the sensor, a fan or another unit
-        changes the noise. The result is therefore False if fewer than `MOVING_AXES` of the axes now
-        have noise above the former resolution, or if the magnitude of gravity or the unit of the
-        gyro changed. Unless the former noise was very large, the result is also False if fewer than
-        the share `QUANTILE` of the former windows agree with the former noise.
+        The noise may also change without motion: because of a fault of a few axes, a setting of the
+        sensor, a fan, or another unit of measurement. The result is therefore False if fewer than
+        `MOVING_AXES` of the axes now have noise above the former resolution, or if the magnitude of
+        gravity or the unit of the gyro changed. Unless the former noise was very large, the result
+        is also False if fewer than the share `QUANTILE` of the former windows agree with the former
+        noise.
         """
         axes = axes & (self.variance > former.lsb**2)
         if np.count_nonzero(axes) < MOVING_AXES:
@@ -541,7 +544,10 @@ class NoiseFloor:
 
 @lru_cache
 def _complete_sensors(gyro: tuple[bool, ...]) -> list[slice]:
-    """Return the axes of each sensor with three axes; ``gyro`` flags the axes of the gyro."""
+    """Return one slice of axis indices for each sensor that has all of its three axes.
+
+    ``gyro`` flags the axes of the gyro.
+    """
     first_axes = [i for i, is_gyro in enumerate(gyro) if not i or is_gyro != gyro[i - 1]]
     return [slice(i, i + 3) for i in first_axes if gyro.count(gyro[i]) == 3]
 

@@ -3,7 +3,7 @@
 """Levels of the noise at rest: each has its own noise floor, Allan sums and counts.
 
 When the noise changes, a new level begins. At first, the new level is on trial: the Allan sums of
-the previous level remain the result, and continue if the previous noise returns.
+the previous level remain the result of the stream, and continue if the previous noise returns.
 """
 
 from __future__ import annotations
@@ -144,19 +144,20 @@ class NoiseLevels:
         self.largest_ratio, self.smallest_ratio = np.ones(axes), np.ones(axes)
         self._began_ns = 0  # stamp at which the noise changed to the level on trial
 
-        # how the samples of the other level are counted if its Allan sums are not the result
+        # field of `Counts` for the samples of the other level, unless this level is `published`
         self._other_is: ExcludedAs = 'moving'
         self._dropped = Counts()  # counts of the levels that were discarded
-        self._drops = 0  # number of levels that were discarded after they were the result
+        # number of discarded levels that were `published` until a later level replaced them
+        self._drops = 0
 
         # first stamp of the first level with samples; None until this level has ended
         self._first_ns: int | None = None
-        # last stamp of the level that was the result and was discarded most recently
+        # last stamp of the level that was last counted in `_drops`
         self._last_ns = 0
 
     @property
     def published(self) -> NoiseLevel:
-        """The level whose Allan sums are the result."""
+        """The level whose Allan sums are the result of the stream."""
         return self.other if self.is_tried and self.other is not None else self.present
 
     @property
@@ -174,15 +175,19 @@ class NoiseLevels:
 
     @property
     def lost(self) -> int:
-        """Number of times that the result was replaced after a motion or a change of the noise."""
-        return self._drops + (not self.is_tried and self._was_replaced(self.other))
+        """Number of noise levels that were `published` until a later level replaced them.
+
+        A level that is `published` again is not counted. A level that is kept, because its noise
+        may return, is counted when the later level has samples.
+        """
+        return self._drops + (not self.is_tried and self._precedes_present(self.other))
 
     @property
     def lost_s(self) -> float:
-        """Time in s from the first sample at rest to the first sample of the result.
+        """Time in s from the first sample at rest to the first sample of the `published` level.
 
-        The time is 0 if the result was never replaced. While the result has no samples, the time
-        ends at the last discarded sample.
+        The time is 0 if `lost` is 0. While the `published` level has no samples, the time ends at
+        the last sample of the latest discarded level that `lost` counts.
         """
         if not self.lost:
             return 0.0
@@ -206,7 +211,7 @@ class NoiseLevels:
         self._begin(floor)
 
     def try_another(self, floor: NoiseFloor, change: Change, began_ns: int) -> None:
-        """Begin another level on trial. The result remains the same.
+        """Begin another level on trial. The `published` level remains the same.
 
         A present level that is on trial is discarded. Otherwise, the present level becomes the
         other level, to which the noise may return.
@@ -215,14 +220,16 @@ class NoiseLevels:
             self._dropped.add(self.present.counted_as(self.change))
         else:
             if self.other is not None:
-                self._drops += self._was_replaced(self.other)
+                if self._precedes_present(self.other):
+                    self._drops += 1
+                    self._last_ns = self.other.last_ns
                 self._dropped.add(self.other.counted_as(self._other_is))
             self.other, self._began_ns = self.present, began_ns
         self.is_tried, self.change = True, change
         self._begin(floor)
 
     def resume(self) -> int | None:
-        """Continue the other level, because its noise has returned.
+        """Continue the other stored level, because the noise is at that level again.
 
         Returns the stamp in ns at which the noise changed, if the present level was on trial; else
         None.
@@ -239,7 +246,10 @@ class NoiseLevels:
         return None
 
     def accept(self) -> None:
-        """Make the present level the result; keep the other level, because its noise may return."""
+        """Publish the Allan sums of the present level instead of the sums of the other level.
+
+        The other level is kept, because its noise may return.
+        """
         self.is_tried, self._other_is = False, 'moving'
         self._forget_ratios()
 
@@ -258,8 +268,11 @@ class NoiseLevels:
         ratio = np.sqrt(np.nanmean(variances, axis=1) / floor[has_decreased])
         self.smallest_ratio[has_decreased] = np.minimum(self.smallest_ratio[has_decreased], ratio)
 
-    def _was_replaced(self, level: NoiseLevel | None) -> bool:
-        """Return whether ``level`` has samples at rest that are earlier than the present level."""
+    def _precedes_present(self, level: NoiseLevel | None) -> bool:
+        """Return whether ``level`` has an earlier first sample than the present level.
+
+        The result is False if ``level`` is None, or if one of the two levels has no samples.
+        """
         return level is not None and level.samples > 0 and level.first_ns < self.present.first_ns
 
     def _forget_ratios(self) -> None:

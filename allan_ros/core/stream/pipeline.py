@@ -33,14 +33,14 @@ CHECKED = LEARN // 8
 ended."""
 
 IDLE = ('sensor_all_zero', 'zero_filled', 'held')
-"""Ids of findings that samples of a sensor are zero or repeated. When this fault, or a fault of
-`ABSENT` or `UNTIMED`, ends after the first samples, new sensor streams begin."""
+"""Ids of findings which state that samples of a sensor are zero or repeated. When such a fault, or
+a fault of `ABSENT` or `UNTIMED`, ends after the first samples, new sensor streams begin."""
 
 ABSENT = ('sensor_absent', 'axis_absent')
-"""Ids of findings that values of a sensor are not numbers."""
+"""Ids of findings which state that a sensor or an axis has no usable values."""
 
 UNTIMED = ('stamps_missing', 'stamps_unusable', 'stamps_from_rate')
-"""Ids of findings that the stamps are not usable."""
+"""Ids of findings which state that the stamps are not usable."""
 
 STILL_IDLE = 0.05
 """A fault of zero or repeated samples has ended if their share is below this value."""
@@ -137,11 +137,12 @@ class ImuStream:
         return tuple(s.means for s in self._present.sensors if s.means is not None)
 
     def samples(self) -> dict[str, tuple[Stamps, Floats]]:
-        """Return axis -> stamps in ns, (n,), and values, (n,), of all samples at rest, after `end`.
+        """Return axis -> stamps in ns, (n,), and values, (n,), of the samples at rest.
 
-        The values are in the unit of the received samples. The samples have the frame_id with the
-        most data, come after the last change of the rate and the end of a fault of the first
-        samples, and belong to the noise level that is the result. The result is empty unless
+        Call `end` first; otherwise, the buffered samples are missing. The values are in the unit of
+        the received samples. The samples belong to the frame_id with the largest number of used
+        samples, and to one noise level (`NoiseLevels.published`) of each sensor stream. Samples
+        before the sample rate was last learned are not included. The result is empty unless
         ``with_samples`` was set.
         """
         kept = [(s.axes, joined(s.kept)) for s in self._most_used.sensors if s.kept]
@@ -153,7 +154,7 @@ class ImuStream:
 
     @property
     def _most_used(self) -> FrameStream:
-        """The stream of the frame_id with the most used samples."""
+        """The stream of the frame_id with the largest number of used samples."""
         return max(self._frames.values(), key=lambda f: f.counts.used, default=self._present)
 
     def drives(self) -> Drives:
@@ -219,9 +220,10 @@ class ImuStream:
         return frame
 
     def _longest(self) -> tuple[StreamSums, ...]:
-        """Return the sums with the longest elapsed time for each axis with data.
+        """Return, for each axis with data, the Allan sums with the longest elapsed time.
 
-        If an axis is in two of the sums, its longer sums come after the shorter sums.
+        Sums that are the longest for several axes are returned once. If an axis is in two of the
+        sums, the longer sums come last.
         """
         frames = self._frames.values()
         sensors = [sensor for frame in frames for sensor in (*frame.earlier, *frame.sensors)]
@@ -230,9 +232,11 @@ class ImuStream:
         for stream_sums in sorted(results, key=lambda result: -result.sums.elapsed_ns):
             for axis in stream_sums.sums.axes:
                 longest.setdefault(axis, stream_sums)
-        entries = {id(longest[axis]): longest[axis] for axis in AXES if axis in longest}.values()
-        # longer sums with some axes of shorter sums lack other axes of the shorter sums
-        return tuple(sorted(entries, key=lambda entry: -len(entry.sums.axes)))
+        chosen = {id(longest[axis]): longest[axis] for axis in AXES if axis in longest}.values()
+        entries = sorted(chosen, key=lambda entry: -len(entry.sums.axes))
+        if sum(len(entry.sums.axes) for entry in entries) > len(longest):  # an axis is in two sums
+            entries.sort(key=lambda entry: entry.sums.elapsed_ns)
+        return tuple(entries)
 
     def _health(
         self, present: Present, longest: tuple[AllanSums, ...]
@@ -313,7 +317,8 @@ class FrameStream:
         self.sensors: tuple[SensorStream, ...] = ()
         self.earlier: tuple[SensorStream, ...] = ()
         self._dropped = Counts()  # counts of the sensor streams that preceded `earlier`
-        self._faulty: tuple[Finding, ...] = ()  # faults of the first samples that may end
+        # faults that were found in the first samples, and that may end later
+        self._faulty: tuple[Finding, ...] = ()
         self.notes: list[Finding] = []
         self.first_ns: int | None = None
         self.received = 0

@@ -232,7 +232,7 @@ class Motion:
         """
         if self.level is None or self.change(floor).any():
             return []
-        # means of the quiet windows at the end, except for the first, which is replaced
+        # means of the quiet windows at the end, except the first, whose samples are also replaced
         means_after = list(self._after)[1 - self.quiet :]
         number_compared = min(len(self.before), len(means_after))
         first_mean, last_mean = (
@@ -277,7 +277,7 @@ class RestFilter:
         self._level, self._last_mean = RestLevel(), np.full(len(axes), np.nan)
         self._cut = ''  # reason for the split before the next block at rest
 
-        # the last window at rest, because a motion may follow, and the windows of a possible shock
+        # windows not passed on yet: the last window at rest, and the windows of a possible shock
         self._held: list[ImuBatch] = []
         self._out: list[ImuBatch] = []  # blocks that are confirmed to be at rest
 
@@ -338,22 +338,23 @@ class RestFilter:
         self.drop_shock()
         self._pass_held()
 
-    def drop(self, samples: list[ImuBatch], cut: str) -> None:
+    def drop(self, samples: list[ImuBatch], kind: str) -> None:
         """Exclude samples in motion before the noise floor is known.
 
-        ``cut`` is the kind of the motion, and the reason for the split.
+        ``kind`` is the kind of the motion. It is also the reason that is stored for the split
+        before the next samples at rest.
         """
         self._counts.moving += sum(map(len, samples))
         if self.motion is None:
-            self.motion = Motion(cut, int(samples[0].stamps_ns[0]))
-            self._splits[cut] += 1
+            self.motion = Motion(kind, int(samples[0].stamps_ns[0]))
+            self._splits[kind] += 1
         self.motion.ended_ns = int(samples[-1].stamps_ns[-1])
-        self._cut = cut
+        self._cut = kind
 
-    def begin_level(self, cut: str) -> None:
-        """Continue with another noise level; ``cut`` is the reason for the split."""
+    def begin_level(self, split_reason: str) -> None:
+        """Continue with another noise level, and split the data for the given reason."""
         self._forget_level()
-        self.motion, self._cut = None, cut
+        self.motion, self._cut = None, split_reason
 
     def drop_shock(self) -> None:
         """Exclude the windows of the present motion, if any, because the motion is no shock."""
@@ -386,7 +387,10 @@ class RestFilter:
             self._events.add(seconds, Event(motion.kind, motion.began_ns, seconds, changed))
 
     def _step(self, window: ImuBatch, mean: Floats, found: WindowClass) -> None:
-        """Pass on a window at rest outside of a motion; add any other window to the motion."""
+        """Pass on a window at rest, or add the window to a motion.
+
+        A window that is not at rest begins a motion. Until a motion ends, all windows are added.
+        """
         if self.motion is None and not found.moving:
             self._release(window, mean[:, None], len(window))
             return

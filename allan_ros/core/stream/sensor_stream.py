@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Computes the Allan sums of axes that are sampled together, in stages, from their samples."""
+"""Computes, in several stages, the Allan sums of axes that are sampled together."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class RunningMeans:
     def update(self, stamps: Stamps, rows: Floats) -> None:
         """Add samples without a gap: stamps in order, (n,), in ns, and values, (axes, n).
 
-        At least one sample is required. A second without samples has no mean.
+        At least one sample is required. No mean is computed for seconds without samples.
         """
         if self._start_ns is None:
             self._start_ns = int(stamps[0])
@@ -145,16 +145,18 @@ class SensorStream:
 
     @property
     def lost(self) -> int:
-        """Number of times that the result was replaced after a motion or a change of the noise."""
+        """Number of noise levels that were the published level until a later level replaced them.
+
+        The levels at all sample rates are counted (see `NoiseLevels.lost`).
+        """
         return self._lost + self._levels.lost
 
     @property
     def lost_s(self) -> float:
-        """Time in s from the first sample at rest to the first sample of the result.
+        """Time in s from the first sample at rest to the first sample of the published noise level.
 
-        The time is 0 if the result was never replaced. While the result has no samples, the time
-        ends at the last discarded sample. After a change of the rate, the longest of the times at
-        all rates is returned.
+        It is the longest of the times at all sample rates (`NoiseLevels.lost_s`), and 0 if `lost`
+        is 0.
         """
         return max(self._lost_s, self._levels.lost_s)
 
@@ -162,7 +164,7 @@ class SensorStream:
     def kept(self) -> list[ImuBatch]:
         """The samples at rest at the present rate; empty unless ``with_samples`` was set.
 
-        They belong to the noise level that is the result.
+        They belong to the noise level whose Allan sums are the result at this rate.
         """
         return self._levels.published.kept
 
@@ -194,8 +196,9 @@ class SensorStream:
     def by_rate(self) -> list[StreamSums]:
         """Return the sums at the earlier sample rate with the most data, and at the present rate.
 
-        If both rates are equal, the sums are added. Sums without samples are omitted, and the
-        present sums also if their samples come from two IMUs and there are earlier sums.
+        If both rates are equal, the sums are added. Sums without samples are omitted. The sums at
+        the present rate are also omitted if their samples come from two IMUs, and there are sums at
+        an earlier rate.
         """
         sums, segments = self._levels.published.result
         former = [] if self._former is None else [self._former]

@@ -122,10 +122,11 @@ def extreme_shares(rows: Floats) -> Floats:
 
 
 def clipped_shares(rows: Floats) -> Floats:
-    """Return the share of the samples of each row, (..., n), that are clipped, (...).
+    """Return which share of the samples of each row is clipped.
 
-    A row contains samples of one axis. The share is computed by `clipped_share`, but it is 0 if the
-    samples that equal the maximum or the minimum exactly have a share below `MIN_CLIPPED`.
+    ``rows`` is (..., n), and the result is (...). A row contains samples of one axis. The share is
+    computed by `clipped_share`, but it is 0 if the samples that equal the maximum or the minimum
+    exactly have a share below `MIN_CLIPPED`.
     """
     shares = np.zeros(rows.shape[:-1])
     # the common case: all rows together have too few samples at either extreme for one clipped row
@@ -264,8 +265,8 @@ def plan_sensors(first: ImuBatch, only: str = '') -> tuple[list[SensorPlan], lis
 def zeros_and_repeats(sensor: str, axes: tuple[str, ...], rows: Floats) -> list[Finding]:
     """Return a list with a finding if many samples of a sensor, (axes, n), are zero or repeated.
 
-    The finding states that all values are zero, or which share of the samples is zero, or repeats
-    the previous sample, on all axes.
+    The finding states that all values are zero, or the share of the samples that are zero on all
+    axes, or the share of the samples that repeat the previous sample on all axes.
     """
     is_zero = rows == 0.0
     if is_zero.all():

@@ -258,7 +258,9 @@ class SignalSummary:
     used: Flags
     # (6,) median over the bins of (low + high) / 2, in SI; NaN for an axis without data
     middle: Floats
-    excluded: tuple[Excluded, ...]  # without a kind only if longer than 0.1 % of the recording
+    # excluded periods; a period without a kind is contained only if it is longer than 0.1 % of the
+    # recording
+    excluded: tuple[Excluded, ...]
 
     # (start, end) in s of times without samples that are longer than 0.1 % of the recording
     gaps: tuple[tuple[float, float], ...]
@@ -287,12 +289,14 @@ def summarize_signal(
     events: Sequence[Event] = (),
     temperatures: Sequence[TemperatureTrace | None] = (),
 ) -> SignalSummary | None:
-    """Return the summary of all recordings in about ``bins`` bins, or in fewer if there are fewer.
+    """Return the summary of all recordings, whose bins are joined to about ``bins`` bins in total.
+
+    If the recordings have fewer bins, no bins are joined. Each recording keeps at least two bins,
+    and recordings with fewer than two bins are omitted. Returns None if no recording is left.
 
     ``signals`` are the signals of the recordings. ``temperatures`` contains the temperature or None
     for each recording. ``segments`` are the used parts of all recordings. ``events`` are the shocks
-    in these parts, and the reasons why other parts are not used. Recordings with fewer than two
-    bins are omitted. Returns None if no recording is left.
+    in these parts, and the reasons why other parts are not used.
     """
     temperatures = temperatures or [None] * len(signals)
     recordings = [(s, t) for s, t in zip(signals, temperatures) if s.bins > 1]
@@ -400,9 +404,10 @@ def _excluded(
 
 
 def _marked(excluded: list[Excluded], event: Excluded) -> list[Excluded]:
-    """Return the excluded periods, with the kind of an event in periods that the event overlaps.
+    """Return the excluded periods; a period that ``event`` overlaps gets the kind of the event.
 
-    A shock is added as a further period.
+    A period of a shock keeps its kind. If ``event`` is a shock, it is added as a further period,
+    and the other periods are unchanged.
     """
     if event.why == 'shock':
         return [*excluded, event]

@@ -38,12 +38,13 @@ CLOCK_BLOCK = 256
 the rate."""
 
 LOOK_AHEAD = 64
-"""Largest number of samples on each side of a pause whose delays are compared, unless stamps are
-bursty."""
+"""Delays are compared over at most this number of samples on each side of a pause. The number may
+be larger if stamps are bursty (`BURST_LOOK_AHEAD`)."""
 
 BURST_LOOK_AHEAD_S, BURST_LOOK_AHEAD = 4.0, 1 << 18
-"""Time in s, and largest number of samples, on each side of a pause whose delays are compared if
-stamps are bursty. The largest number is reached at 65 kHz."""
+"""If stamps are bursty, the largest number of samples on each side of a pause over which delays are
+compared is the number in `BURST_LOOK_AHEAD_S` seconds, but at least `LOOK_AHEAD` and at most
+`BURST_LOOK_AHEAD`, which is reached at 65 kHz."""
 
 BURST_PAUSE_S = 0.25
 """If stamps are bursty, samples count as lost only in a pause of more than this time in s that
@@ -118,7 +119,7 @@ class Clock:
 
     @property
     def look_ahead(self) -> int:
-        """Largest number of samples on each side of a pause whose delays are compared."""
+        """Largest number of samples on each side of a pause over which delays are compared."""
         if not self.bursty:
             return LOOK_AHEAD
         samples = BURST_LOOK_AHEAD_S * 1e9 / self.period_ns
@@ -132,7 +133,10 @@ class Clock:
 
     @property
     def smallest_loss(self) -> float:
-        """Increase of the smallest delay in a pause, in periods, up to which no sample is lost."""
+        """Limit of the increase of the smallest delay in a pause, in periods.
+
+        A larger increase indicates that samples were lost.
+        """
         return max(0.5, BURST_PAUSE_S * 1e9 / self.period_ns) if self.bursty else 0.5
 
 
@@ -341,7 +345,10 @@ class SampleClock:
         return self._process_ready(self._reach)
 
     def flush(self) -> list[ImuBatch]:
-        """At the end of the input, return the pending samples as blocks, up to a new rate."""
+        """Return the pending samples as blocks at the end of the input.
+
+        If the sample rate changes, only blocks before the change are returned.
+        """
         while self.clock is None and (number_buffered := len(self._samples)):
             self._learn(learned_from(self._samples.stamps_ns) or number_buffered)
         return self._process_ready(0)
@@ -361,7 +368,7 @@ class SampleClock:
             first_rows = self._samples.rows[:, :number]
             self.is_interleaved = not self._polled and are_interleaved(first_rows)
             if self.is_interleaved:
-                # with jitter instead of bursts, the end of the second IMU is found sooner
+                # with jitter instead of bursts, a stop of one of the two IMUs is found sooner
                 period_ns = self.clock.period_ns
                 self.clock = replace(self.clock, step_ns=period_ns, bursty=False, jitter=True)
             self.learned_ns, self._reach = self.clock.period_ns, self.clock.look_ahead

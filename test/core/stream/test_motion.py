@@ -263,3 +263,15 @@ def test_a_first_level_without_samples_was_not_the_result(is_tried):
         levels.replace_present(None, 'moving')
     levels.present.add(ImuBatch.of_rows(10**18 + np.arange(2000) * 10**9 // RATE, white(10)))
     assert (levels.lost, levels.lost_s) == (0, 0.0)
+
+
+def test_the_discarded_time_is_known_before_the_accepted_level_has_samples():
+    levels = NoiseLevels(partial(NoiseLevel, ImuIdentity(), AXES))
+    rows = np.random.default_rng(0).normal(size=(6, 100))
+    for start_s in (1000, 1020):
+        levels.present.add(ImuBatch.of_rows(start_s * 10**9 + np.arange(100) * 10**7, rows))
+        levels.try_another(levels.present.floor, 'noise_increased', 0)
+        levels.accept()
+    assert levels.lost == 1 and levels.lost_s == pytest.approx(0.99)
+    levels.present.add(ImuBatch.of_rows(1040 * 10**9 + np.arange(100) * 10**7, rows))
+    assert levels.lost == 2 and levels.lost_s == 40.0

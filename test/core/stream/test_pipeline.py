@@ -182,6 +182,18 @@ def test_another_frame_is_another_imu(frames, used):
     assert_accounted(result)
 
 
+def test_the_longer_sums_of_an_axis_come_last():
+    stream = ImuStream()
+    for frame_id, absent, n in (('five axes', slice(2, 3), 12_000), ('gyro', slice(3, 6), 6000)):
+        t, x = still(n)
+        x[:, absent] = np.nan
+        stream.update(ImuBatch(t, x, frame_id=frame_id))
+    stream.end()
+    gyro, five_axes = stream.result().sums
+    assert gyro.axes == AXES[:3] and five_axes.axes == (*AXES[:2], *AXES[3:])
+    assert gyro.elapsed_ns < five_axes.elapsed_ns
+
+
 @pytest.mark.parametrize('ordered', [0, 2000])
 @pytest.mark.parametrize('length', [100, 20_000])
 def test_stamps_without_order_are_not_used(ordered, length):
