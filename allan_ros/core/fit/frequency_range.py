@@ -48,12 +48,12 @@ that passes its tests. The rate of false alarms that is stated at `CURVATURE` in
 
 LOST_POWER = 0.8, 0.5
 """Least power in the highest octave of a fit, divided by the power two octaves lower. If the
-spectrum looks low-pass filtered, fits with less power in their highest octave are not tried,
-because several processes may imitate the filter, and such a fit takes up to four times as long. The
-first number is for the fit of all frequencies. If this fit has too little power, the second number
-is for the fits of fewer frequencies. There are two exceptions: the fit of the lowest frequencies is
-never excluded, and the fit of all frequencies is tried if a fast process explains the spectrum
-(`_bends_like_noise`)."""
+spectrum looks low-pass filtered, the first fit that is tried has at least this ratio. Fits of more
+frequencies are not tried, because several processes may imitate the filter, and such a fit takes up
+to four times as long. The first number is for the fit of all frequencies. If the ratio of this fit
+is smaller, the second number is for the fits of fewer frequencies. There are two exceptions: the
+fit of the lowest frequencies is never excluded, and the fit of all frequencies is tried if a fast
+process explains the spectrum (`_bends_like_noise`)."""
 
 FILTERED_FROM = 0.375
 """Frequency, in cycles per sample, above which the power is compared with a fit (`EXPLAINED`). A
