@@ -112,10 +112,12 @@ def load(path: str | os.PathLike[str], method: str = 'likelihood') -> Results:
     ----------
     path : path
         The folder of an analysis, a results.json, a sums.json, or a checkpoint. The Allan sums in
-        a sums.json or checkpoint are fitted again. Results from a results.json alone, or from a
-        folder without a sums.json, have no Allan sums, and therefore cannot be added or saved.
+        a sums.json or checkpoint are fitted again; if a folder has a results.json, its results are
+        read instead. Results from a results.json alone, or from a folder without a sums.json, have
+        no Allan sums, and therefore cannot be added or saved.
     method : str
-        Method of the fit of Allan sums: 'likelihood' or 'paper', as in `analyze`.
+        Method of the fit of Allan sums: 'likelihood' or 'paper', as in `analyze`. Results that are
+        read from a results.json keep their method.
 
     Returns
     -------
@@ -214,7 +216,7 @@ def analyze(
         Several paths or results must belong to the same IMU, and give one common result. A path may
         also be an earlier analysis with its Allan sums: a folder, a sums.json, or a checkpoint. The
         Allan sums are then added and fitted, and the recordings are not read again. Arrays are (n,)
-        or (n, axes), with one row per sample.
+        or (n, axes), with one row per sample. An ImuBatch, such as from `simulate`, has six axes.
     rate : float
         Sample rate in Hz; 0 if unknown. It is required for samples without times. If it is given
         for an array, a DataFrame or a mapping, it replaces their times. For a recording or an
@@ -228,7 +230,7 @@ def analyze(
         these axes are used. An ImuBatch is used with all its axes.
     gyro_unit, accel_unit : str
         Units of the samples, such as 'deg/s' and 'g', if the source does not state them. The
-        defaults are rad/s and m/s^2.
+        defaults are rad/s and m/s^2. An ImuBatch is always in rad/s and m/s^2.
     method : str
         Method of the fit: 'likelihood' (maximum likelihood, with confidence intervals) or 'paper'
         (plain least squares, as in Cong et al. 2019).
@@ -266,7 +268,7 @@ def analyze(
     ------
     AllanError
         When the source cannot be read, an argument is invalid, too few data at rest are found, or
-        the sources are of different IMUs.
+        several sources are of different IMUs, have different sample rates, or overlap in time.
 
     Examples
     --------

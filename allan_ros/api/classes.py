@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 from ..core.errors import AllanError
 from ..core.findings import grouped
 from ..core.imu import sensor_of
-from ..core.settings import LIST, UNIT_SYSTEMS, check_choice, expect, settings_from
+from ..core.settings import LIST, MAX_FLOAT, UNIT_SYSTEMS, check_choice, expect, settings_from
 from ..export import ExportOptions, make_export, target_of
 from ..readers.files import PATH, with_checked_paths, write_atomic
 from ..results.datasheets import Datasheet as PlainDatasheet
@@ -196,7 +196,6 @@ class Results(PlainResults):
             ``force=True`` also when the samples are probably not in SI units, or the recording does
             not show the noise of the sensor.
         """
-        expect(str, target=target)
         text = make_export(self, target, settings_from(ExportOptions, options), finding_line).text
         if path is not None:
             expect(PATH, 'a path', path=path)
@@ -232,14 +231,15 @@ class Results(PlainResults):
         plots : sequence of str
             File formats of figures that are written in addition to the report: 'png', 'svg', 'pdf'.
         overwrite : bool
-            Whether results of another recording, with another file name or topic, in this folder
-            are replaced.
+            Whether results of another recording in this folder, with another file name or topic,
+            are replaced. Samples in memory all have the name 'array'.
 
         Raises
         ------
         AllanError
-            When the results have no Allan sums, an argument is invalid, the folder has results of
-            another recording, a file cannot be written, or matplotlib is missing for figures.
+            When the results have no Allan sums, an argument is invalid, a file cannot be written,
+            matplotlib is missing for figures, or another process writes to the folder. Without
+            ``overwrite`` also when the folder has results of another recording.
         """
         from ..view.result_files import check_plots, write_result_files
 
@@ -287,7 +287,7 @@ class Results(PlainResults):
         ------
         AllanError
             When the datasheet or the earlier run cannot be read, an argument has a wrong type, or
-            the margin is NaN or below 0.
+            the margin is below 0 or not finite.
 
         Examples
         --------
@@ -301,6 +301,7 @@ class Results(PlainResults):
         """
         return self.compared(sensor, baseline, margin).verdict
 
+    @public
     def compared(
         self,
         sensor: PlainDatasheet | str = '',
@@ -332,9 +333,9 @@ class Datasheet(PlainDatasheet):
         """Return the text of a configuration file with the noise of the datasheet.
 
         Arguments and errors are the same as in `Results.export`. In addition, AllanError is raised
-        if the datasheet states no N of an axis, or for ``motion=True``, because a datasheet states
-        no noise in motion. The option ``filter_rate`` in Hz is also used as the sample rate of the
-        IMU; the default is 200 Hz.
+        if the datasheet states B but no N of an axis, and for ``motion=True``, because a datasheet
+        states no noise in motion. The option ``filter_rate`` in Hz is also used as the sample rate
+        of the IMU; the default is 200 Hz.
         """
         rate = settings_from(ExportOptions, options).filter_rate or DEFAULT_RATE_HZ
         return self.results(rate).export(target, path, **options)
@@ -367,14 +368,14 @@ def compared(
     ------
     AllanError
         When the datasheet or the earlier run cannot be read, an argument has a wrong type, or the
-        margin is NaN or below 0.
+        margin is below 0 or not finite.
     """
     expect((PlainResults, *PATH), 'results or a path', baseline=baseline)
     expect((PlainDatasheet, *PATH), 'a datasheet or its name', sensor=sensor)
     used_margin = results.margin if margin is None else margin
     expect(Real, margin=used_margin)
-    if not used_margin >= 0.0:
-        raise AllanError(f'margin is {used_margin:g}: give 0 or more')
+    if not 0.0 <= used_margin <= MAX_FLOAT:
+        raise AllanError(f'margin is {used_margin!s:.40}: give 0 or more')
     results = replace(results, margin=used_margin)
     if isinstance(baseline, PlainResults):
         results = replace(results, baselines={'the earlier run': baseline})

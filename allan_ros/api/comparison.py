@@ -108,14 +108,15 @@ def compare(
         ``differences`` are the comparisons of each recording with the first recording, and
         ``checked`` are the results compared with the datasheets. ``differs`` states whether any
         difference is significant or any limit is exceeded. If ``within`` is not 0, ``equivalent``
-        states whether the coefficients are equal up to this fraction, and ``differs`` states
-        whether they are not, or any limit is exceeded.
+        states whether N of all axes is shown to be equal up to this fraction, and no other
+        coefficient is shown to differ by more. ``differs`` then states whether ``equivalent`` is
+        False or any limit is exceeded.
 
     Raises
     ------
     AllanError
-        When an input cannot be read or is given twice, an argument is invalid, there is nothing to
-        compare, or an input has no axis in common with the first one.
+        When an input cannot be read, a path is given twice, an argument is invalid, there is
+        nothing to compare, or an input has no axis in common with the first one.
 
     Examples
     --------
@@ -131,6 +132,7 @@ def compare(
     sensors = [sensor] if isinstance(sensor, PATH) else sensor
     sheets = [load_sensor(str(name)) for name in sensors]
     sources = tuple(sorted(sources, key=lambda s: not (isinstance(s, PATH) and is_truth(s))))
+    expect_different_paths(sources)
     unshortened_names = [
         _name_in_memory(i) if isinstance(s, PlainResults) else str(s) for i, s in enumerate(sources)
     ]
@@ -178,8 +180,8 @@ def common(*sources: Any, rate: float = 0.0, **options: Any) -> CommonResult:
     Raises
     ------
     AllanError
-        When a source cannot be read, a path is given twice, an option is invalid, or the sources
-        have no axis, rate or sufficient time in common.
+        When a source cannot be read, a path is given twice, an option is invalid, the sources have
+        no axis, rate or sufficient time in common, or a single IMU has no two axes of one sensor.
 
     Examples
     --------
@@ -196,9 +198,7 @@ def common(*sources: Any, rate: float = 0.0, **options: Any) -> CommonResult:
     from ..readers.arrays import recording_in_memory
 
     reading, settings = read_settings(options, rate)
-    absolute_paths = [Path(source).resolve() for source in sources if isinstance(source, PATH)]
-    if len({*absolute_paths}) < len(absolute_paths):
-        raise AllanError('a recording is given twice: give one recording of each IMU')
+    expect_different_paths(sources)
     recordings: dict[str, Recording] = {}
     paths = [str(s) if isinstance(s, PATH) else _name_in_memory(i) for i, s in enumerate(sources)]
     for source, path, label in zip(sources, paths, labels_of(paths)):
@@ -213,6 +213,13 @@ def common(*sources: Any, rate: float = 0.0, **options: Any) -> CommonResult:
         raise AllanError('no recording is given: give one recording of each IMU')
     plain_result = common_of(recordings, settings)
     return CommonResult(plain_result.rows, plain_result.findings)
+
+
+def expect_different_paths(sources: Sequence[Any]) -> None:
+    """Raise AllanError if two of the sources are paths of the same file or folder."""
+    absolute_paths = [Path(source).resolve() for source in sources if isinstance(source, PATH)]
+    if len({*absolute_paths}) < len(absolute_paths):
+        raise AllanError('an input is given twice: give different recordings')
 
 
 def _name_in_memory(position: int) -> str:

@@ -187,7 +187,7 @@ class Estimate:
         AllanError
             When ``unit`` is unknown or of another kind; the message lists the possible units. Also
             when ``unit`` is no text, or the estimate has no unit, such as a ratio or a coefficient
-            in `Results.noise`.
+            in `Results.noise`, or a unit for which no other unit is known, such as Hz.
         """
         expect(str, unit=unit)
         present_unit = UNITS.get(self.unit)
@@ -216,9 +216,9 @@ class Estimate:
         """Return the estimate that `document` wrote as a JSON object.
 
         Name, unit and axis are not stored; missing numbers are None. With ``signed``, the value may
-        be negative. Raises AllanError if a number or an end of an interval is
-        no number or out of range, if the status is missing or unknown, or if there is only
-        ``recording_ci95`` without ``ci95``.
+        be negative. Raises AllanError if a number or an end of an interval is no number or out of
+        range, if the status is missing or unknown, or if there is ``recording_ci95`` without
+        ``ci95``.
         """
         least = -MAX_FLOAT if signed else 0.0
 

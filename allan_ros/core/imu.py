@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,8 +67,8 @@ class ImuBatch:
     Raises
     ------
     AllanError
-        When ``samples`` does not have n rows and at most six columns, when ``record_ns`` is not
-        (n,), or when ``frame_id`` is longer than `MAX_NAME` characters.
+        When ``stamps_ns`` or ``record_ns`` is not (n,), when ``samples`` does not have n rows and
+        at most six columns, or when ``frame_id`` is longer than `MAX_NAME` characters.
     """
 
     stamps_ns: NDArray[np.int64]
@@ -80,7 +80,8 @@ class ImuBatch:
 
     def __post_init__(self) -> None:
         n = len(self.stamps_ns)
-        if self.samples.ndim != 2 or len(self.samples) != n or self.samples.shape[1] > len(AXES):
+        is_table = self.stamps_ns.ndim == 1 and self.samples.ndim == 2
+        if not is_table or len(self.samples) != n or self.samples.shape[1] > len(AXES):
             raise AllanError(
                 f'a batch of {n} stamps needs samples of shape ({n}, {len(AXES)}), '
                 f'got {self.samples.shape}: pass one row of six axes per stamp'
@@ -351,6 +352,18 @@ def even_stamps(first: int, count: int, rate: float) -> NDArray[np.int64]:
         np.int64
     )
     return stamps
+
+
+def real_numbers(values: Any) -> Floats:
+    """Return numbers as a float64 array of the same shape; masked values become NaN.
+
+    Raises TypeError or ValueError if the values are not real numbers, such as complex numbers,
+    dates or durations, or if they have no common shape.
+    """
+    array = np.asarray(np.ma.filled(values, np.nan) if np.ma.is_masked(values) else values)
+    if array.dtype.kind in 'cmM':
+        raise TypeError('complex values' if array.dtype.kind == 'c' else 'dates or durations')
+    return np.asarray(array, float)
 
 
 def sensor_of(axis: str) -> str:

@@ -19,6 +19,7 @@ from ..core.errors import AllanError, one_line
 from ..core.estimate import LIMIT_DIGITS, duration_text, significant
 from ..core.filters.noise_parameters import horizon_text
 from ..core.findings import Finding, finding
+from ..core.settings import expect
 from ..readers.recording import listed
 from ..results.from_datasheet import FROM_DATASHEET
 from ..results.results import MOTION_MEASURED
@@ -50,6 +51,7 @@ WITHOUT_PARAMETERS = ('robot_localization', 'fuse')
 
 def target_of(name: str) -> Target:
     """Return the export target with this name; raise AllanError if there is no such target."""
+    expect(str, target=name)
     if name in WITHOUT_PARAMETERS:
         raise AllanError(
             f'{name} has no parameters for the noise of an IMU: it reads the covariances of the '

@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 from ..core.errors import AllanError
 from ..core.fields import MAX_INTEGER
 from ..core.findings import finding
-from ..core.imu import AXES, MAX_NAME, SENSORS, ImuBatch, even_stamps
+from ..core.imu import AXES, MAX_NAME, SENSORS, ImuBatch, even_stamps, real_numbers
 from ..core.stream.signal import MAX_BINS, TemperatureTrace, trace_of
 from .columns import EXAMPLE_COLUMNS, FIRST_ROWS, ColumnLayout, columns_of
 from .files import open_regular
@@ -242,9 +242,16 @@ def recording_in_memory(
     ------
     AllanError
         When a shape, name, unit, time or rate is invalid, the times are missing, there are no
-        samples, or the samples are not numbers.
+        samples, or the samples are not numbers. For an ImuBatch also when it does not have six
+        axes.
     """
     if isinstance(samples, ImuBatch):
+        kinds = samples.stamps_ns.dtype.kind, samples.samples.dtype.kind
+        if samples.samples.shape[1] != len(AXES) or kinds != ('i', 'f'):
+            raise AllanError(
+                f'the ImuBatch has {kinds[0]!r} stamps and {kinds[1]!r} samples of shape '
+                f'{samples.samples.shape}: give int64 stamps and float64 samples of six axes'
+            )
         return _recording(samples)
     rate = options.rate_hz
     if rate and not (np.isfinite(rate) and rate > 0.0):
@@ -307,10 +314,7 @@ def _recording(
 def _numbers(samples: Any) -> NDArray[np.float64]:
     """Return samples as a float64 array, (n, axes); raise AllanError when this is impossible."""
     try:
-        values = np.asarray(np.ma.filled(samples, np.nan) if np.ma.is_masked(samples) else samples)
-        if values.dtype.kind in 'cmM':
-            raise TypeError('complex values' if values.dtype.kind == 'c' else 'dates or durations')
-        values = np.asarray(values, float)
+        values = real_numbers(samples)
     except (TypeError, ValueError) as error:
         raise AllanError(
             f'the samples are not numbers ({error}): give an array, a DataFrame or paths'

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from dataclasses import dataclass, replace
 from functools import cached_property
 from numbers import Real
@@ -22,7 +23,7 @@ from ..core.filters.noise_parameters import reduce_axis
 from ..core.filters.state_space import StateSpace, state_space
 from ..core.fit.least_squares import fit_curve
 from ..core.fit.result import TERMS, AxisFit, ModelLine, Region, TemperatureModel, model_line
-from ..core.imu import AXES, NANOSECONDS, SI_UNITS, sensor_of
+from ..core.imu import AXES, NANOSECONDS, SI_UNITS, real_numbers, sensor_of
 from ..core.noise import Model
 from ..core.settings import check_choice, expect
 
@@ -31,7 +32,8 @@ from ..core.settings import check_choice, expect
 class AxisResult:
     """The results of one axis: coefficients, Allan deviation and fitted noise model.
 
-    The coefficients are the attributes ``Q``, ``N``, ``B``, ``K`` and ``R``, each an `Estimate`.
+    The coefficients are the attributes ``Q``, ``N``, ``B``, ``K`` and ``R``, each an `Estimate` in
+    SI. Its value is None if the coefficient is not resolved.
 
     Attributes
     ----------
@@ -42,7 +44,8 @@ class AxisResult:
     curve : AxisCurve or None
         The measured Allan deviation in SI; None if only the coefficients are known.
     regions : tuple of Region
-        Ranges of averaging times, each with the noise that dominates in it.
+        Ranges of averaging times, each with the noise that dominates in it; empty if there
+        is no curve, and after `fit`.
     name : str
         Name of the axis, such as 'gyro_z'.
     rounding : float or None
@@ -115,7 +118,8 @@ class AxisResult:
         Each item of ``processes['gauss_markov']`` or ``processes['sinusoid']`` has a ``value`` in
         SI (a standard deviation or an amplitude) and the 95 % interval ``ci95`` of this value (None
         if it is unknown). The ``process`` of the item has shape parameters: ``correlation_time`` in
-        s, or ``frequency`` in Hz. ``shape_ci95`` contains the 95 % intervals of these parameters.
+        s, or ``frequency`` in Hz. ``shape_ci95`` contains the 95 % intervals of these parameters;
+        it is empty if they are unknown.
 
         Examples
         --------
@@ -136,8 +140,8 @@ class AxisResult:
         Raises
         ------
         AllanError
-            When N has neither a value nor a limit, or when the model has no drift and K has neither
-            a value nor a limit.
+            When N has neither a value nor an upper limit, or when the model has no drift and K has
+            neither a value nor an upper limit.
 
         Examples
         --------
@@ -153,14 +157,15 @@ class AxisResult:
         """Predicted standard deviation of the angle error (rad) or velocity error (m/s).
 
         There is one prediction, with its 95 % interval if it is known, for each of several times
-        after the last correction by another sensor.
+        after the last correction by another sensor. Terms that are unknown count as 0.
         """
         return growth_table(self.fit)
 
     def quantity(self, term: str) -> Estimate:
         """Return the coefficient of a term ('Q', 'N', 'B', 'K' or 'R') in SI.
 
-        Raises AllanError for any other term.
+        The value of a coefficient that is not resolved is None; ``fit.noise`` contains its
+        estimate. Raises AllanError for any other term.
         """
         check_choice(TERMS, term=term)
         unit = SI_UNITS[sensor_of(self.name)][term]
@@ -168,12 +173,12 @@ class AxisResult:
 
     def _tau(self, m: ArrayLike) -> NDArray[np.float64]:
         try:
-            factors = np.asarray(m, float)
+            factors = real_numbers(m)
         except (TypeError, ValueError) as error:
             raise AllanError(
                 f'm is {m!r:.60}: an array of averaging factors is expected'
             ) from error
-        if not (factors > 0.0).all():
+        if not ((factors > 0.0) & np.isfinite(factors)).all():
             raise AllanError(f'm is {m!r:.60}: averaging factors above 0 are expected')
         return factors * self.tau0
 
@@ -183,7 +188,7 @@ class AxisResult:
         The result maps names of parts to Allan deviations. A part is a term, such as 'N', or one of
         the `processes`, such as 'GM 300 s'. The effect of a low-pass filter on the Allan variance
         is no part if it is negative at any ``m``. ``m`` are averaging factors, which are averaging
-        times in samples. Raises AllanError if ``m`` is not an array of numbers above 0.
+        times in samples. Raises AllanError if ``m`` is not an array of finite numbers above 0.
 
         Examples
         --------
@@ -207,7 +212,7 @@ class AxisResult:
 
         Terms without a finite limit are absent. ``m`` are averaging factors, which are averaging
         times in samples. The result maps terms to Allan deviations in SI, in the shape of ``m``.
-        Raises AllanError if ``m`` is not an array of numbers above 0.
+        Raises AllanError if ``m`` is not an array of finite numbers above 0.
         """
         model = self.fit.model
         limits = {
@@ -229,14 +234,14 @@ class AxisResult:
         curve = self.curve
         if curve is None:
             return ModelLine(np.zeros(0), np.zeros(0))
-        return model_line(self.fit, self.tau0, curve.m)
+        return model_line(self.fit, self.tau0, curve)
 
     def total_adev(self, m: ArrayLike) -> NDArray[np.float64]:
         """Return the Allan deviation of the fitted model, in SI, in the shape of ``m``.
 
         ``m`` are averaging factors, which are averaging times in samples. If the samples are
         low-pass filtered, the result is NaN at short averaging times at which the variance of the
-        model is negative. Raises AllanError if ``m`` is not an array of numbers above 0.
+        model is negative. Raises AllanError if ``m`` is not an array of finite numbers above 0.
         """
         with np.errstate(invalid='ignore'):
             total: NDArray[np.float64] = np.sqrt(self.fit.model.avar(self._tau(m), self.tau0))
@@ -262,8 +267,8 @@ def adev(samples: ArrayLike, rate: float = 1.0) -> AxisCurve:
     Raises
     ------
     AllanError
-        When there are fewer than two samples, some are not finite numbers, their array has another
-        shape, or the rate is not positive and finite.
+        When there are fewer than two samples, some are not finite real numbers, their array has
+        another shape, or the rate is not positive and finite.
 
     Examples
     --------
@@ -274,14 +279,14 @@ def adev(samples: ArrayLike, rate: float = 1.0) -> AxisCurve:
     ['0.1 s: 0.97', '0.2 s: 0.69', '0.3 s: 0.57']
     """
     try:
-        values = np.asarray(samples, float)
+        values = real_numbers(samples)
     except (TypeError, ValueError) as error:
         raise AllanError(f'the samples are not numbers ({error}): give an array') from None
     expect(Real, rate=rate)
     table = values[:, None] if values.ndim == 1 else values
-    if table.ndim != 2 or not table.shape[1] or not (np.isfinite(rate) and rate > 0.0):
+    if table.ndim != 2 or not table.shape[1] or not 0.0 < rate <= sys.float_info.max:
         raise AllanError(
-            f'samples of shape {values.shape} at {rate} Hz: give (n,) or (n, columns) and a '
+            f'samples of shape {values.shape} at {rate!s:.40} Hz: give (n,) or (n, columns) and a '
             'positive rate'
         )
     if not np.isfinite(table).all():
@@ -313,17 +318,18 @@ def fit(
     Parameters
     ----------
     curve : AxisCurve or (tau, adev)
-        Averaging times in s and Allan deviations in SI. Points whose deviation is not a positive
-        number are ignored.
+        Averaging times in s, in any order, and Allan deviations in SI; two lists or arrays,
+        (points,). Points whose deviation is not a number from 1e-150 to 1e150 are ignored. About
+        four points per octave are used.
     axis : str
         The axis of the curve, such as 'gyro_z', which determines the units of the coefficients.
     record : float, optional
-        Duration of the recording in s; by default nine times the longest averaging time used. About
-        four points per octave are used.
+        Duration of the recording in s; by default nine times the longest averaging time used.
 
     Returns
     -------
     AxisResult
+        The coefficients and the curve, without regions and without numbers that need the samples.
 
     Raises
     ------
@@ -346,7 +352,7 @@ def fit(
         expect(Real, record=record)
     if not isinstance(curve, AxisCurve):
         try:
-            tau, deviation = (np.asarray(values, float) for values in curve)
+            tau, deviation = map(real_numbers, curve)
         except (TypeError, ValueError) as error:
             raise AllanError(
                 f'the curve is not a pair of lists tau and adev ({error}): give these, or an '

@@ -28,7 +28,8 @@ class RunComparison:
 
     ``str(comparison)`` has a sentence for each recording except the first, and for each comparison
     with a datasheet. If ``within`` is not 0, a further sentence for each recording except the first
-    states whether this recording is equal to the first.
+    states whether this recording is equal to the first. The first sentences name recordings with
+    wrong units or with data that do not show the noise at rest.
 
     Attributes
     ----------

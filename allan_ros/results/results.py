@@ -16,6 +16,7 @@ from ..core.findings import Finding
 from ..core.fit.fit_findings import TOO_SHORT_S, longest_recommended, recommended_duration
 from ..core.fit.result import TemperatureModel
 from ..core.imu import ImuIdentity, sensor_of
+from ..core.settings import check_range, expect
 from ..readers.recording_sums import Provenance, RecordingSums
 from .axis_result import AxisResult
 from .datasheets import Datasheet, against_datasheet, below_typical, exceeds_limit
@@ -108,7 +109,7 @@ class Results:
     {}
     >>> results.level, results.is_measured, results.is_too_short, checked.is_decided
     ('measured', True, False, True)
-    >>> results.time_to_record  # s, and the terms that are resolved then
+    >>> results.time_to_record  # in s, and the terms for which it is recommended
     (14400.0, ('B', 'K'))
     """
 
@@ -139,7 +140,7 @@ class Results:
 
     @property
     def is_too_short(self) -> bool:
-        """Whether no coefficient is resolved, or the data at rest last less than `TOO_SHORT_S`."""
+        """Whether no coefficient is resolved, or the data at rest last less than 20 s."""
         return not self.is_measured or self.duration_s < TOO_SHORT_S
 
     @cached_property
@@ -178,10 +179,11 @@ class Results:
 
     @property
     def time_to_record(self) -> tuple[float, tuple[str, ...]] | None:
-        """The recommended length of a recording in s, and the terms that it is expected to resolve.
+        """The recommended length of a recording in s, and the terms for which it is recommended.
 
-        None if a longer recording is not useful or would have to be longer than 24 hours, or if the
-        method is not 'likelihood'.
+        The longer recording is expected to resolve each of these terms, or to show that the term is
+        too small to matter. None if a longer recording is not useful or would have to be longer
+        than 24 hours, or if the method is not 'likelihood'.
         """
         if self.method != 'likelihood':
             return None
@@ -196,7 +198,11 @@ class Results:
 
     @property
     def noise(self) -> dict[str, Mapping[str, Estimate]]:
-        """The coefficients in SI: axis -> term -> Estimate."""
+        """The coefficients in SI: axis -> term -> Estimate.
+
+        Unlike `AxisResult.quantity`, the estimates contain the values of terms that are not
+        resolved, and have no name, unit and axis.
+        """
         return {name: axis.fit.noise for name, axis in self.axes.items()}
 
     @property
@@ -220,7 +226,7 @@ class Results:
     def datasheet_checks(self) -> tuple[Check, ...]:
         """The comparisons of all coefficients that have a limit in the datasheet, by axis and term.
 
-        All verdicts are 'undecided' if the data at rest are shorter than `TOO_SHORT_S`.
+        All verdicts are 'undecided' if the data at rest last less than 20 s.
         """
         sheet = self.datasheet
         checks = () if sheet is None else against_datasheet(self.noise, sheet, self.margin)
@@ -233,7 +239,8 @@ class Results:
         Coefficients that could not be compared with an earlier result are absent. Allan deviations
         are compared with the earlier results, too. If an Allan deviation of an axis exceeds the
         earlier one although no coefficient of this axis does, the comparison of the Allan deviation
-        with the largest excess is included.
+        with the largest excess is included. All verdicts are 'undecided' if the data at rest last
+        less than 20 s.
         """
         earlier_checks: list[Check] = []
         pairs = [(name, run.measured, self.measured) for name, run in self.baselines.items()]
@@ -270,8 +277,11 @@ class Results:
 
         Earlier findings about limits are removed. A finding is added for each of the
         `datasheet_checks` with the verdict 'exceeds', and for each N that is implausibly small.
-        ``margin`` is the fraction by which a coefficient may exceed its limit.
+        ``margin`` is the fraction by which a coefficient may exceed its limit. Raises AllanError if
+        ``datasheet`` is no `Datasheet`, such as a name, or ``margin`` is below 0 or not finite.
         """
+        expect(Datasheet, 'a datasheet, such as allan_ros.sensor(name)', datasheet=datasheet)
+        check_range(0.0, None, margin=margin)
         other_findings = (
             f for f in self.findings if f.id not in ('exceeds_limit', 'below_typical')
         )

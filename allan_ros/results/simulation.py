@@ -284,12 +284,13 @@ def simulate(
     preset : str
         Name of predefined noise: 'paper' for the ADIS16475-3 of Cong et al. 2019, or '' for none.
     sensor : str
-        Name of a datasheet, whose N and B are used instead of the preset. Terms that the datasheet
-        does not state are 0.
+        A datasheet whose N and B are used instead of the preset: a name that `allan sensors` lists,
+        or the path of a .yaml file. Terms that the datasheet does not state are 0.
     gyro, accel : mapping, optional
-        Coefficients in datasheet units that replace coefficients of the preset or datasheet. N of
-        the gyro is in deg/sqrt(h) and B in deg/h; N of the accelerometer is in m/s/sqrt(h) and B in
-        ug. ``{'N': 0.3, 'B': 7}`` applies to all axes, ``{'z': {'N': 0.3}}`` to one axis.
+        Coefficients that replace coefficients of the preset or datasheet. Q, N, B, K and R of the
+        gyro are in urad, deg/sqrt(h), deg/h, deg/h^1.5 and deg/h^2; of the accelerometer, in um/s,
+        m/s/sqrt(h), ug, ug/sqrt(h) and ug/h. ``{'N': 0.3, 'B': 7}`` applies to all axes,
+        ``{'z': {'N': 0.3}}`` to one axis.
     seed : int
         Seed of the random numbers, 0 or more.
     frame_id : str
@@ -302,7 +303,8 @@ def simulate(
     Returns
     -------
     ImuBatch
-        The samples: ``stamps_ns``, (n,), in ns, and ``samples``, (n, 6), in rad/s and m/s^2.
+        The samples: ``stamps_ns``, (n,), in ns, and ``samples``, (n, 6), in rad/s and m/s^2. The
+        first stamp is 0, unless faults change it.
 
     Raises
     ------

@@ -175,6 +175,19 @@ def test_a_curve_of_another_tool_is_fitted() -> None:
     assert backward.N == axis.N
 
 
+def test_the_model_has_the_averaging_times_of_lists() -> None:
+    tau = np.geomspace(0.1, 1000.0, 60)
+    assert ar.fit((tau, 1e-3 / np.sqrt(tau))).model_line().adev * np.sqrt(tau) == pytest.approx(
+        1e-3, rel=1e-3
+    )
+
+
+def test_results_from_the_same_sums_are_equal(results: ar.Results) -> None:
+    assert ar.analyze(results) == ar.analyze(results)
+    assert results['gyro_x'].curve != results['gyro_y'].curve
+    assert ar.adev([1.0, 2.0]) != 3
+
+
 def test_results_are_added() -> None:
     parts = [ar.simulate(hours=0.05, rate=50, seed=i) for i in range(2)]
     one, two = (ar.analyze(part, **QUICK) for part in parts)

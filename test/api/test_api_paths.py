@@ -47,6 +47,13 @@ def test_another_document_is_rejected_by_its_name(name: str, tmp_path: Path) -> 
             read(tmp_path / name)
 
 
+def test_two_spellings_of_a_path_are_one_input(small_results: Results, tmp_path: Path) -> None:
+    folder = written(small_results, tmp_path)
+    for other in (f'{folder}/', folder / '..' / folder.name):
+        with pytest.raises(AllanError, match='given twice'):
+            ar.compare(folder, other)
+
+
 def test_a_folder_without_documents_is_rejected(tmp_path: Path) -> None:
     with pytest.raises(AllanError, match=r'no results\.json in this folder'):
         load(tmp_path)

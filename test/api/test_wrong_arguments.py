@@ -11,6 +11,7 @@ import pytest
 
 import allan_ros as ar
 from allan_ros.core.allan.curve import AxisCurve
+from allan_ros.core.imu import ImuBatch
 from allan_ros.core.settings import check_choice, expect
 from allan_ros.readers.files import PATH
 
@@ -18,6 +19,7 @@ SOURCE = 'source is {}: results or a path is expected'
 TAUS = np.geomspace(0.1, 1000.0, 30)
 PAIR = ([1.0, 2.0], [1.0, 0.7])
 W = np.random.default_rng(0).normal(size=100)
+STAMPS, SIX = np.arange(100), np.ones((100, 6))
 
 CALLS = [
     (lambda r: ar.load(5), 'path is 5: a path is expected'),
@@ -134,6 +136,19 @@ CALLS = [
     (lambda r: r['gyro_x'].total_adev('x'), "m is 'x': an array of averaging factors"),
     (lambda r: r['gyro_x'].total_adev(None), 'm is None: averaging factors above 0'),
     (lambda r: r['gyro_x'].limit_adev([0, 1]), r'm is \[0, 1\]: averaging factors above 0'),
+    (lambda r: r['gyro_x'].total_adev(np.inf), 'm is inf: averaging factors above 0'),
+    (lambda r: ar.adev(W, rate=10**400), r'samples of shape \(100,\) at 1000'),
+    (lambda r: ar.adev(W + 1j), 'the samples are not numbers .complex values'),
+    (lambda r: ar.fit((TAUS, 1j * TAUS)), 'the curve is not a pair of lists .*complex values'),
+    (lambda r: ar.fit((TAUS, TAUS), record=10**400), 'a recording of 1000'),
+    (lambda r: r.save('x', targets=[3]), 'target is 3: a text is expected'),
+    (lambda r: r.check(margin=10**400), 'margin is 1000'),
+    (lambda r: r.compared(baseline='\0'), 'has a null character'),
+    (lambda r: r.against_datasheet('bmi088', 0.2), "datasheet is 'bmi088': a datasheet, such as"),
+    (lambda r: r.against_datasheet(ar.sensor('bmi088'), np.nan), 'margin is nan: it must be at'),
+    (lambda r: ar.analyze(ImuBatch(STAMPS, np.ones((100, 3)))), 'of six axes'),
+    (lambda r: ar.analyze(ImuBatch(np.nan * STAMPS, SIX)), 'give int64 stamps'),
+    (lambda r: ImuBatch(STAMPS[:, None], SIX), 'a batch of 100 stamps needs samples of shape'),
 ]
 
 

@@ -227,21 +227,23 @@ UNCERTAIN = 1.5
 its value. With a higher upper limit, the point has fewer than six degrees of freedom."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class AxisCurve:
     """Overlapping Allan deviation with its 68.3 % confidence limits.
 
     Attributes
     ----------
     m : (factors,) int64 array
-        Averaging factors in samples.
+        Averaging factors in samples; after `fit` of lists tau and adev, the ratios of tau to the
+        shortest tau, rounded.
     tau : (factors,) float64 array
-        Averaging times in s.
+        Averaging times in s, ascending.
     n : (factors,) int64 array
-        Number of second differences in each point.
+        Number of second differences in each point; 0 if unknown, after `fit` of lists.
     adev, ci_low, ci_high : (factors,) float64 arrays
-        Allan deviation and its limits in the unit of the samples. The shape is (factors, axes) in
-        an `AllanCurve`, and (factors, columns) for samples with several columns.
+        Allan deviation and its limits in the unit of the samples; the limits are NaN after `fit` of
+        lists. The shape is (factors, axes) in an `AllanCurve`, and (factors, columns) for samples
+        with several columns.
 
     Examples
     --------
@@ -257,6 +259,18 @@ class AxisCurve:
     ci_low: Floats
     ci_high: Floats
 
+    def __eq__(self, other: object) -> bool:
+        """Return whether both curves are of the same class and have equal numbers; NaN equals NaN.
+
+        >>> import allan_ros as ar
+        >>> ar.adev([1.0, 2.0, 4.0]) == ar.adev([1.0, 2.0, 4.0])
+        True
+        """
+        if type(other) is not type(self):
+            return NotImplemented
+        pairs = [(np.asarray(a), np.asarray(vars(other)[name])) for name, a in vars(self).items()]
+        return all(np.array_equal(a, b, equal_nan=a.dtype.kind == 'f') for a, b in pairs)
+
     @property
     def is_uncertain(self) -> NDArray[np.bool_]:
         """Whether each point is too uncertain for a comparison with a model (shape of ``adev``).
@@ -268,7 +282,7 @@ class AxisCurve:
         return ~(self.ci_high <= UNCERTAIN * self.adev)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class AllanCurve(AxisCurve):
     """Overlapping Allan deviation of all axes: an `AxisCurve` with one column for each axis.
 

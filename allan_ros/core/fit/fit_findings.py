@@ -111,7 +111,7 @@ def with_deviations(model: NoiseModel, curve: AllanCurve) -> NoiseModel:
     axes, new_findings = {}, []
     for i, name in enumerate(curve.axes):
         fit = model.axes[name]
-        line = model_line(fit, model.tau0, curve.m)
+        line = model_line(fit, model.tau0, curve)
         axes[name] = replace(fit, deviation=largest_deviation(line, curve.axis(i)))
         if fit.lack_of_fit:
             worst = max(fit.lack_of_fit, key=lambda each: abs(math.log(each.ratio)))

@@ -21,6 +21,7 @@ approximate.
 from __future__ import annotations
 
 import math
+import sys
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -157,9 +158,9 @@ def fit_curve(tau: ArrayLike, adev: ArrayLike, record: float | None = None) -> A
     (0.001, 1e-06)
     """
     tau, avar = _decimated(np.asarray(tau, float), np.asarray(adev, float))
-    if record is not None and not 2.0 * tau[-1] <= record < math.inf:
+    if record is not None and not 2.0 * float(tau[-1]) <= record <= sys.float_info.max:
         raise AllanError(
-            f'a recording of {record:g} s has no average over {tau[-1]:g} s: give a length of '
+            f'a recording of {record!s:.40} s has no average over {tau[-1]:g} s: give a length of '
             f'at least {2.0 * tau[-1]:g} s'
         )
     seconds = record or DEFAULT_RECORD * float(tau[-1])

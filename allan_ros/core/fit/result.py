@@ -236,20 +236,19 @@ class ModelLine(NamedTuple):
     upper: Floats
 
 
-def model_line(fit: AxisFit, tau0: float, m: NDArray[np.int64]) -> ModelLine:
+def model_line(fit: AxisFit, tau0: float, curve: AxisCurve) -> ModelLine:
     """Return the Allan deviations of a fitted model, and of this model at its upper limits, in SI.
 
-    They are computed at the averaging factors ``m`` of a curve, (factors,), and have the shape of
-    ``m``. ``tau0`` is the sample period in s. Both arrays of the result are NaN below the shortest
-    averaging time that the model describes, and where the Allan variance of the model is not above
-    0.
+    They are computed at the averaging times of a curve, and have the shape (factors,). ``tau0`` is
+    the sample period in s. Both arrays are NaN below the shortest averaging time that the model
+    describes, and where the Allan variance of the model is not above 0.
     """
     # the Allan variance of a model with a low-pass filter may be negative at short times
     with np.errstate(invalid='ignore'):
         line, upper = (
-            np.sqrt(model.avar(m * tau0, tau0)) for model in (fit.model, fit.model_at_limits)
+            np.sqrt(model.avar(curve.tau, tau0)) for model in (fit.model, fit.model_at_limits)
         )
-    is_described = (m >= fit.m_min) & (line > 0.0)
+    is_described = (curve.m >= fit.m_min) & (line > 0.0)
     return ModelLine(np.where(is_described, line, np.nan), np.where(is_described, upper, np.nan))
 
 

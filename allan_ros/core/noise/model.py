@@ -125,6 +125,7 @@ class Model:
         """Return the coefficient of one of the terms Q, N, B, K and R in SI.
 
         The result is 0 if the model does not contain the term, or another process replaces it.
+        Raises KeyError for another letter.
         """
         return sum((p.value for p in self.parts if p.process == BY_LETTER[letter]), 0.0)
 

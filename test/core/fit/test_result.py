@@ -119,7 +119,7 @@ def test_only_points_that_are_certain_are_compared_with_the_model():
     adev = np.where(curve.edf > 6.0, 1.0, 0.2) * curve.adev
     low, high = chi_squared_limits(adev**2, curve.edf)
     curve = replace(curve, adev=adev, ci_low=low, ci_high=high)
-    line = model_line(fits['gyro_x'], TAU0, curve.m)
+    line = model_line(fits['gyro_x'], TAU0, curve)
     assert np.all(curve.is_uncertain == (curve.edf <= 6.0)) and curve.is_uncertain.any()
     assert largest_deviation(line, curve.axis(0)) is None
     for column in (adev, low, high):
