@@ -139,7 +139,7 @@ def load(path: str | os.PathLike[str], method: str = 'likelihood') -> Results:
     ...     ar.load(folder).samples == results.samples
     True
     """
-    ResultSettings(method=method)  # checks the method, also of results that are not fitted again
+    ResultSettings(method=method)  # an unknown method is an error, also if nothing is fitted
     return Results.of(load_results(path, method))
 
 
@@ -246,7 +246,8 @@ def analyze(
         Fraction by which a coefficient may exceed a limit of the datasheet or the earlier run. A
         coefficient exceeds a limit of the datasheet if its complete 95 % interval lies above
         limit * (1 + margin). It exceeds the earlier run if it is significantly higher, and the
-        complete 95 % interval of the ratio of the two coefficients lies above 1 + margin.
+        complete 95 % interval of the ratio of the new to the earlier coefficient lies above
+        1 + margin.
     hardware_id : str
         Serial number of the IMU in recordings and samples; earlier results keep their serial
         number. Results with a common axis can be added only if their serial numbers and frame_ids

@@ -214,10 +214,10 @@ class Results(PlainResults):
     ) -> list[Path]:
         """Write results, sums, report, configuration files and figures, and return their paths.
 
-        `allan analyze -o` writes the same files. `load` reads the folder again. If the
-        results lack an axis or a number that a configuration file needs, if their units are
-        probably wrong, or if the recording does not show the noise of the sensor, this file is
-        omitted, which a finding in the report states.
+        `allan analyze -o` writes the same files. `load` reads the folder again. A
+        configuration file is omitted if the results lack an axis or a number that the file needs,
+        if the units of the samples are probably wrong, or if the recording does not show the noise
+        of the sensor. A finding in the report then states the reason.
 
         Parameters
         ----------
@@ -273,8 +273,9 @@ class Results(PlainResults):
             Fraction by which a coefficient may exceed a limit of the datasheet or the earlier run.
             A coefficient exceeds a limit of the datasheet if its complete 95 % interval lies above
             limit * (1 + margin). It exceeds the earlier run if it is significantly higher, and the
-            complete 95 % interval of the ratio of the two coefficients lies above 1 + margin. The
-            default is the margin of the results, which is 0.2 unless it was changed.
+            complete 95 % interval of the ratio of the new to the earlier coefficient lies above
+            1 + margin. The default is the margin of the results, which is 0.2 unless it was
+            changed.
 
         Returns
         -------

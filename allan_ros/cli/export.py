@@ -56,7 +56,7 @@ def run(args: argparse.Namespace) -> int:
             'the targets'
         )
     from ..export import make_export, target_of
-    from ..export.own_file import against, verdicts
+    from ..export.own_file import compare_drifts, verdicts
     from ..readers.files import write_atomic
     from ..results.documents import load
 
@@ -69,7 +69,9 @@ def run(args: argparse.Namespace) -> int:
     else:
         results = load(args.results)
     if args.against:
-        drifts = against(results, target_of(args.to), read_text(args.against, MAX_BYTES), options)
+        drifts = compare_drifts(
+            results, target_of(args.to), read_text(args.against, MAX_BYTES), options
+        )
         if console.json:
             drift_documents = [{**drift._asdict(), 'ratio': drift.ratio} for drift in drifts]
             console.document({'target': args.to, 'against': args.against, 'drift': drift_documents})

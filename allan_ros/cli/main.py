@@ -25,8 +25,9 @@ from .console import COMMON_OPTIONS, EXIT_ERROR, EXIT_FAULT, fault_text
 from .options import Command, declare
 
 GARBAGE_THRESHOLD = 200_000
-"""Number of new objects that may refer to other objects after which Python collects garbage. An
-analysis creates about 100,000. With the default of Python, garbage would be collected 150 times."""
+"""Python collects garbage when the number of objects that can refer to others, such as lists, has
+grown by this number. An analysis creates about 100,000 such objects. With the default threshold of
+Python, garbage would be collected about 150 times."""
 
 HELP_COLUMN = 26
 """Largest column at which the help texts of options begin."""
@@ -86,7 +87,7 @@ EXITS = {
     0: 'done',
     EXIT_ERROR: 'an error that you can fix: one line on stderr states the cause and the remedy',
     EXIT_USAGE: 'wrong usage of the command line',
-    EXIT_FAULT: 'a bug in allan: please report the line',
+    EXIT_FAULT: 'a bug in allan: please report the line that contains "internal error"',
     EXIT_INTERRUPTED: 'interrupted: incomplete files are removed',
 }
 """Exit code -> meaning of the code, for the help."""

@@ -85,8 +85,8 @@ SIMULATE_OPTIONS = (
             ),
             Option(
                 ('--start',),
-                'first stamp in Unix time (2020-01-01 by default); recordings that are analyzed '
-                'together need different times',
+                'first stamp in Unix time, such as 1577836800 for 2020-01-01; recordings that are '
+                'analyzed together need different times',
                 'SECONDS',
                 parse=seconds,
                 default=1577836800.0,

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Rows of the export targets without a table of keys, such as state space, Gazebo and Madgwick.
+"""Compute the content of files that are too complex for a table of keys, such as files for Gazebo.
 
 A simulator that models the bias by one Gauss-Markov process gets the process whose error growth is
 closest to the error growth of the noise model.

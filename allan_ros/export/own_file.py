@@ -81,7 +81,7 @@ class Drift(NamedTuple):
         return f'{text}{interval} {unit}, {significant(self.ratio, SHOWN_DIGITS)} times'
 
 
-def against(
+def compare_drifts(
     results: Results, target: Target, text: str, options: ExportOptions = ExportOptions()
 ) -> tuple[Drift, ...]:
     """Return the drift of each measured axis according to the user's file and to the model.
@@ -148,7 +148,7 @@ def file_models(target: Target, text: str, rate: float) -> Mapping[str, Model]:
     """Return axis -> noise model that a state estimator assumes with the numbers in its file.
 
     ``text`` is the text of the file, and ``rate`` is the rate of the state estimator in Hz. Raises
-    AllanError under the conditions of `against`.
+    AllanError under the conditions of `compare_drifts`.
     """
     quantities = {key.what for key in target.keys}
     if not quantities & {'K', 'sigma'}:

@@ -67,14 +67,14 @@ class ExportOptions(CheckedSettings):
     fidelity: str = parameter(
         'reduction',
         'Which N and K are written: with reduction, a reduced-order model, whose K is raised until '
-        'the predicted error growth covers the complete model; with coefficients, N and K as '
-        'measured.',
+        'the predicted errors are at least as large as with the complete model; with '
+        'coefficients, N and K as measured.',
         choices=('reduction', 'coefficients'),
     )
     horizon: float = parameter(
         0.0,
-        'Longest time that the state estimator integrates without a correction. Up to this time, '
-        'the reduced-order model covers the complete model. 0: the default of the target, such as '
+        'Longest time that the state estimator integrates without a correction. The reduced-order '
+        'model is chosen for the errors up to this time. 0: the default of the target, such as '
         '30 s for cameras and lidars, and 100 s for GNSS.',
         unit='s',
         low=0.0,

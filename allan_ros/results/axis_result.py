@@ -38,7 +38,8 @@ class AxisResult:
     Attributes
     ----------
     tau0 : float
-        Sample period in s; after `fit` of lists tau and adev, the shortest averaging time.
+        Sample period in s. If `fit` was called with lists tau and adev, the shortest averaging
+        time.
     fit : AxisFit
         The fitted coefficients and noise processes, in SI.
     curve : AxisCurve or None

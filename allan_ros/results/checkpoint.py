@@ -89,9 +89,9 @@ class Checkpoint:
 
     @property
     def covered(self) -> tuple[tuple[int, int], ...]:
-        """One pair with the first and the latest stamp, in ns, of the samples of earlier runs.
+        """The first and the latest stamp, in ns, of the samples of earlier runs: one pair.
 
-        The tuple is empty if there are no such samples.
+        The result is an empty tuple if no samples of earlier runs are known.
         """
         sums, provenance = self.earlier
         starts_ns = [p.begin_ns for s in sums for r in s.recordings for p in r.periods]
@@ -122,7 +122,7 @@ class Checkpoint:
         """
         self._has_new_samples = bool(sums)
         if sums and _has_wrong_unit(self.earlier[0]) and not _has_wrong_unit(sums):
-            self._move_wrong_unit()
+            self._set_earlier_sums_aside()
         if self.refused is not None and not os.path.lexists(self.path):
             self._clear()
         if not self._owned or self._content is None:
@@ -236,18 +236,23 @@ class Checkpoint:
         self.loaded = finding('checkpoint_corrupt', path=self.path, aside=new_path, reason=reason)
         self._log.warning(self._words(self.loaded))
 
-    def _move_wrong_unit(self) -> None:
-        """Rename the file if possible, and no longer add its sums to the present sums."""
+    def _set_earlier_sums_aside(self) -> None:
+        """Rename the checkpoint, whose unit is wrong, and no longer add the sums of earlier runs.
+
+        If the checkpoint cannot be renamed, it is left unchanged, and nothing is saved.
+        """
         self._collect()
-        new_path = Path(f'{self.path}.previous')
         if self._owned and os.path.lexists(self.path):
+            new_path = Path(f'{self.path}.previous')
             try:
                 self._rename(new_path)
             except AllanError as error:
-                self._report_unwritable(error)
+                self.earlier, self._content = NOTHING, None
+                self._refuse(str(error))
+                return
+            self.loaded = finding('checkpoint_unit', path=self.path, aside=new_path)
+            self._log.warning(self._words(self.loaded))
         self._clear()
-        self.loaded = finding('checkpoint_unit', path=self.path, aside=new_path)
-        self._log.warning(self._words(self.loaded))
 
     def _rename(self, to: Path) -> None:
         try:

@@ -181,7 +181,7 @@ class Datasheet:
         }
 
 
-BELOW = 3.0
+IMPLAUSIBLE_RATIO = 3.0
 """Ratio of N in a datasheet to the measured N, above which the measured N is implausibly small."""
 
 
@@ -251,10 +251,13 @@ def exceeds_limit(check: Check, margin: float, axes: tuple[str, ...]) -> Finding
 def below_typical(check: Check, axes: tuple[str, ...]) -> Finding | None:
     """Return the finding that N is implausibly far below the figure of a datasheet.
 
-    Returns None unless the complete 95 % interval of N lies below the figure divided by `BELOW`.
+    Returns None unless the complete 95 % interval of N lies below the figure divided by
+    `IMPLAUSIBLE_RATIO`.
     """
     ratio_ci95 = check.ratio.ci95 if check.ratio.resolved else None
-    if check.quantity != 'N' or ratio_ci95 is None or not 0.0 < ratio_ci95[1] * BELOW < 1.0:
+    if check.quantity != 'N' or ratio_ci95 is None:
+        return None
+    if not 0.0 < ratio_ci95[1] * IMPLAUSIBLE_RATIO < 1.0:
         return None
     sensor_and_term, value = (sensor_of(check.axis), 'N'), check.measured.value
     return finding(

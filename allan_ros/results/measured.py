@@ -97,11 +97,13 @@ def measured_check_text(check: Check) -> str:
 
 
 def against_measured(sheet: Datasheet, results: Results) -> list[Check]:
-    """Compare each resolved N and B with the values that others measured with IMUs of the model.
+    """Compare N and B with the values that others measured with IMUs of the same model.
 
-    `Check.axis` is the name of the sensor. The limits of a check are the smallest and the largest
-    end of the 95 % intervals that others measured. The verdict is 'alike' if the interval of the
-    results overlaps the range between these limits, else 'lower' or 'higher'.
+    There is a check for each N and B of `measured_values`, if the file of the datasheet contains an
+    interval of this term. `Check.axis` is the name of the sensor. The limits of a check are the
+    smallest and the largest end of the 95 % intervals that others measured. The verdict is 'alike'
+    if the interval of the results overlaps the range between these limits, else 'lower' or
+    'higher'.
     """
     checks = []
     for (sensor, term), value in measured_values(results).items():

@@ -45,7 +45,7 @@ from ..core.imu import (
     to_si,
 )
 from ..readers.files import expanded, read_yaml
-from .datasheets import BELOW, Datasheet
+from .datasheets import IMPLAUSIBLE_RATIO, Datasheet
 
 if TYPE_CHECKING:
     from .results import Results
@@ -387,9 +387,9 @@ def plan_text(sheet: Datasheet) -> str:
     """Return a test plan as YAML text, with limits of N and B that follow from a datasheet.
 
     The upper limits are `Datasheet.limits`, increased by the fraction `MARGIN`. The lower limits of
-    N are `Datasheet.limits` divided by `BELOW`. All these limits are rounded to three digits. The
-    plan also has usual limits for gravity and for the share of used samples. Limits that the user
-    must state, such as the sample rate, are comments.
+    N are `Datasheet.limits` divided by `IMPLAUSIBLE_RATIO`. All these limits are rounded to three
+    digits. The plan also has usual limits for gravity and for the share of used samples. Limits
+    that the user must state, such as the sample rate, are comments.
     """
     lines = [
         f'# Test plan from the datasheet of {one_line(sheet.name)}.',
@@ -412,7 +412,7 @@ def plan_text(sheet: Datasheet) -> str:
             for term, limit in sheet.limits[axis].items():
                 unit = DATASHEET_UNITS[sensor][term]
                 number = limit.value / UNITS[unit].factor
-                lower = f'lower: {number / BELOW:.3g}, ' if term == 'N' else ''
+                lower = f'lower: {number / IMPLAUSIBLE_RATIO:.3g}, ' if term == 'N' else ''
                 upper = f'upper: {number * (1.0 + MARGIN):.3g}'
                 lines.append(f'  {term}: {{{lower}{upper}, unit: {unit}}}')
     return '\n'.join([*lines, *TO_COMPLETE, ''])

@@ -77,8 +77,8 @@ class Results:
         Fraction by which a coefficient may exceed a limit: the figure of the datasheet, or the
         coefficient in an earlier result. The figure of the datasheet is exceeded if the complete
         95 % interval of the coefficient lies above limit * (1 + margin). An earlier coefficient is
-        exceeded if the coefficient is significantly higher, and the complete 95 % interval of the
-        ratio of both lies above 1 + margin.
+        exceeded if the new coefficient is significantly higher, and the complete 95 % interval of
+        the ratio of the new to the earlier coefficient lies above 1 + margin.
     motion : NoiseInMotion or None
         Errors in motion relative to the prediction from the noise at rest; None if the recordings
         have too few drives between two rests, or if the noise at rest is not known well enough.

@@ -67,11 +67,12 @@ class UnitRow:
 def summary_csv(rows: Sequence[UnitRow], units: str) -> str:
     """Return a CSV table with one row for each IMU.
 
-    Each quantity has columns for its value, its interval and its limits, such as
-    ``gyro_x N [deg/sqrt(h)]``, ``gyro_x N upper limit [deg/sqrt(h)]``. If a quantity is not
-    resolved, the column of the value is empty, and ``high95`` is its 95 % upper limit. Columns that
-    are empty for all IMUs are omitted. ``units`` is 'deg/h' or 'SI'. Quantities with limits are in
-    the units of measurement that the plan states.
+    Each quantity has a column for its value, two for the ends of its 95 % interval, and two for the
+    limits of the plan. For N of the x axis, they are ``gyro_x N [deg/sqrt(h)]``, followed by
+    ``gyro_x N low95``, ``high95``, ``lower limit`` and ``upper limit``, each with the unit. If a
+    quantity is not resolved, its value and ``low95`` are empty, and ``high95`` is its 95 % upper
+    limit. Columns that are empty for all IMUs are omitted. ``units`` is 'deg/h' or 'SI'.
+    Quantities with limits are in the units of measurement that the plan states.
     """
     records = [_record(row, units) for row in rows]
     names = dict.fromkeys(name for record in records for name in record)

@@ -111,7 +111,8 @@ NUMBERS = ('value', 'ci95_low', 'ci95_high', 'upper95')
 def coefficient_list(axes: Coefficients, units: str) -> Table:
     """Return a table of all coefficients for programs, with a row for each axis and term.
 
-    The columns are the axis, the term, `NUMBERS` and the unit. The cells have values, but no texts.
+    The columns are the axis, the term, the numbers (`NUMBERS`) and the unit. Each cell has a
+    `Cell.value`, and no text for display.
     """
     rows = []
     for axis, noise in axes.items():

@@ -366,8 +366,8 @@ def common_table(common: CommonResult, units: str = 'deg/h') -> Table:
 
     There is a row for each common axis of each IMU. For a single IMU, there is a row for each pair
     of axes of a sensor, and no N. If the IMUs measure the common noise with different factors, a
-    column contains these factors. The coherence has a column for each averaging time in
-    `SHOWN_TAU_S`, except the shortest, near which a coherence is known.
+    column contains these factors. Further columns contain the coherence at 0.1 s, 1 s, 10 s and
+    100 s, if it is known near this averaging time for any row.
     """
     coherence_taus = SHOWN_TAU_S[1:]
     cells = {tau: [_coherence_cell(row, tau) for row in common.rows] for tau in coherence_taus}

@@ -12,7 +12,7 @@ from support.exports import with_process
 from allan_ros.core.errors import AllanError
 from allan_ros.core.noise.model import Model
 from allan_ros.export import TARGETS, ExportOptions, make_export, target_of
-from allan_ros.export.own_file import against, file_models, verdicts
+from allan_ros.export.own_file import compare_drifts, file_models, verdicts
 from allan_ros.results.results import Results
 
 COMPARED = [n for n in TARGETS if {'K', 'sigma'} & {key.what for key in target_of(n).keys}]
@@ -41,7 +41,7 @@ def test_what_export_writes_is_read_back(known_results: Results, name: str, rate
 @pytest.mark.parametrize('name', COMPARED)
 def test_an_exported_file_covers_the_measured_drift(known_results: Results, name: str) -> None:
     text = make_export(known_results, name).text
-    drifts = against(known_results, target_of(name), text)
+    drifts = compare_drifts(known_results, target_of(name), text)
     assert len(drifts) == 6 * 3
     for drift in drifts:
         within = drift.after <= target_of(name).horizon_s
@@ -56,7 +56,7 @@ def test_a_file_with_a_hundredth_of_the_noise_is_overconfident(known_results: Re
         '  accelerometer_random_walk: 0.0\n  gyroscope_noise_density: 1e-05\n'
         '  gyroscope_random_walk: 1.0e-07\n  update_rate: 200.0\n'
     )
-    drifts = against(known_results, target_of('openvins'), mine)
+    drifts = compare_drifts(known_results, target_of('openvins'), mine)
     one = next(d for d in drifts if d.axis == 'gyro_z' and d.after == 1.0)
     # white noise of 1e-3, and its mean over 30 s: 1e-3 sqrt(1 + 1/30); B adds a tenth
     assert one.measured == pytest.approx(1.02e-3, rel=0.05)
@@ -88,19 +88,19 @@ def test_a_file_that_lacks_a_number_is_rejected(
     known_results: Results, mine: str, said: str
 ) -> None:
     with pytest.raises(AllanError, match=said):
-        against(known_results, target_of('vins_fusion'), mine)
+        compare_drifts(known_results, target_of('vins_fusion'), mine)
 
 
 @pytest.mark.parametrize('name', sorted(set(TARGETS) - set(COMPARED)))
 def test_a_target_without_a_noise_model_is_rejected(known_results: Results, name: str) -> None:
     with pytest.raises(AllanError, match='has no noise model to compare'):
-        against(known_results, target_of(name), make_export(known_results, name).text)
+        compare_drifts(known_results, target_of(name), make_export(known_results, name).text)
 
 
 def test_absent_axes_are_not_compared(known_results: Results) -> None:
     text = make_export(known_results, 'kalibr').text
     gyro = {name: axis for name, axis in known_results.axes.items() if name.startswith('gyro')}
-    drifts = against(replace(known_results, axes=gyro), target_of('kalibr'), text)
+    drifts = compare_drifts(replace(known_results, axes=gyro), target_of('kalibr'), text)
     assert {drift.axis for drift in drifts} == set(gyro)
 
 
@@ -111,4 +111,4 @@ def test_results_without_noise_cannot_be_compared(known_results: Results) -> Non
         for name, axis in known_results.axes.items()
     }
     with pytest.raises(AllanError, match='record longer at rest'):
-        against(replace(known_results, axes=axes), target_of('kalibr'), text)
+        compare_drifts(replace(known_results, axes=axes), target_of('kalibr'), text)

@@ -95,6 +95,20 @@ def test_sums_in_g_and_in_si_are_never_added(tmp_path: Path, opened) -> None:
     assert max(s.samples for s in opened(path).earlier[0]) == 6000
 
 
+def test_sums_of_a_wrong_unit_that_cannot_be_renamed_are_not_overwritten(
+    tmp_path: Path, opened
+) -> None:
+    path, obstacle = tmp_path / 'sums.json', tmp_path / 'sums.json.previous'
+    in_g, in_si = in_unit(1 / 9.80665), in_unit(1.0)
+    assert save(opened(path), in_g)
+    content = path.read_bytes()
+    obstacle.mkdir()
+    checkpoint = opened(path)
+    assert checkpoint.total(in_si, Provenance())[0] == in_si
+    assert not save(checkpoint, in_si) and path.read_bytes() == content
+    assert [f.id for f in checkpoint.findings] == ['checkpoint_refused']
+
+
 def test_without_a_path_nothing_is_kept(sums: Sums, opened) -> None:
     checkpoint = opened('')
     total = checkpoint.total(sums, Provenance())
