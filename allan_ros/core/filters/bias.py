@@ -56,7 +56,7 @@ class BiasModel(NamedTuple):
         of R. If R is not resolved, s is computed from its upper limit: without a slope, the 95 %
         intervals for the bias 10 min ahead contained the true bias of only 89 to 93 % of simulated
         sensors. If R is resolved but has no interval, s is 1000 times R. The model has no slope if
-        R has neither an estimate nor a finite limit.
+        the prior standard deviation would be 0 or infinite.
         """
         ramp = fit.noise['R'].magnitude
         value, limit = ramp.value or 0.0, ramp.upper95 or 0.0
@@ -78,7 +78,8 @@ class BiasFilter:
     Parameters
     ----------
     model : BiasModel
-        Noise processes and slope, which become the states of the Kalman filter.
+        Noise processes and slope. Of the processes, the Kalman filter contains white noise and the
+        processes with states (see `state_space`).
 
     Examples
     --------
@@ -177,8 +178,8 @@ class BiasFilter:
 class BiasTracker:
     """Estimates the bias of each axis of an IMU from means at rest, with one `BiasFilter` per axis.
 
-    When the noise models change, the filters restart from the stored means. If the times of new
-    means have jumped back, they replace the stored means (see `add_means`).
+    When the noise models change, the filters restart from the stored means. New means whose times
+    have jumped back replace the stored means (see `add_means`).
     """
 
     def __init__(self) -> None:

@@ -439,7 +439,7 @@ def _earth_rate_effects(drives: Sequence[DriveErrors]) -> Floats:
 
 
 def _bias_scatter(slow: DriftCovariance, drives: Sequence[DriveErrors]) -> float:
-    """Return the expected variance of a bias among the starts of the drives.
+    """Return the approximate expected variance of a bias among the starts of the drives.
 
     ``slow`` is the autocovariance of the bias. At each start, the bias is averaged over 10 s. The
     result is in the squared unit of the samples.

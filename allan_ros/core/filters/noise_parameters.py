@@ -380,9 +380,10 @@ def reduce_axis(
     Returns
     -------
     Reduction
-        ``levels`` are N and, if the reduced-order model has a random walk or K was added, K. With
-        'none' and 'walk', the interval of an increased value comes from the reduced-order models of
-        two complete models, with coefficients at the lower and at the upper ends of their 95 %
+        ``levels`` are N and, if the reduced-order model has a random walk or K was added, K. A K of
+        the model that is not resolved has no interval, unless it is increased. With 'none' and
+        'walk', the interval of an increased value comes from the reduced-order models of two
+        complete models, with coefficients at the lower and at the upper ends of their 95 %
         intervals (`AxisFit.models_at_ends`). The interval of an increased value is unknown with
         'processes', or if N, B, K or R of the model has neither an interval nor a finite limit. An
         upper limit of N that was increased remains an upper limit. An increase of up to 0.1 % does
