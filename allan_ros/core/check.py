@@ -106,9 +106,9 @@ class Check:
         value or the upper limit from the other recording; None if that number is 'likely',
         unknown, or has no finite interval above 0.
     ratio : Estimate
-        Ratio of the measured number to ``upper``, unknown without an ``upper`` above 0. If only one
-        of two recordings resolves the number, the ratio has no value, and its interval (if any)
-        begins at 0 or ends at infinity.
+        Ratio of the measured number to ``upper``, unknown without an ``upper`` above 0, and if
+        neither of two recordings resolves the number. If only one of them resolves the number, the
+        ratio has no value, and its interval (if any) begins at 0 or ends at infinity.
     verdict : Judgement
         See `Judgement`. In a comparison of recordings, the verdicts 'higher' and 'lower' are
         corrected for the number of comparisons.

@@ -31,7 +31,8 @@ class AllanError(Exception):
     Attributes
     ----------
     findings : tuple
-        Findings that explain the error; their texts are added to the message at the output.
+        Findings that explain the error. Public functions and the command line add their texts to
+        the message; a public function then leaves this tuple empty.
 
     Examples
     --------

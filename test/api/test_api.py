@@ -188,6 +188,11 @@ def test_results_from_the_same_sums_are_equal(results: ar.Results) -> None:
     assert ar.adev([1.0, 2.0]) != 3
 
 
+def test_the_error_growth_of_unknown_noise_has_no_interval() -> None:
+    axis = ar.analyze(np.ones(2000), rate=RATE)['gyro_x']
+    assert {(each.std.value, each.std.ci95) for each in axis.growth} == {(0.0, None)}
+
+
 def test_results_are_added() -> None:
     parts = [ar.simulate(hours=0.05, rate=50, seed=i) for i in range(2)]
     one, two = (ar.analyze(part, **QUICK) for part in parts)

@@ -47,7 +47,8 @@ class Growth:
         Time in s before the correction, over which the bias was averaged.
     std : Estimate
         Predicted standard deviation of the error, in the unit of the samples times s. The estimate
-        has no interval if N, B, K or R of the model has neither an interval nor a finite limit.
+        has no interval if N, B, K or R of the model has neither an interval nor a finite limit, or
+        if no noise is known.
     """
 
     horizon: float
@@ -126,7 +127,7 @@ def growth_table(
             window,
             Estimate(
                 float(std[i]),
-                (float(lowest[i]), float(highest[i])),
+                (float(lowest[i]), float(highest[i])) if highest[i] > 0.0 else None,
                 predictive_ci95=(
                     float(std[i] * np.exp(-log_below[i])),
                     float(std[i] * np.exp(log_above[i])),
