@@ -40,10 +40,10 @@ class Provenance:
     """The origin of Allan sums, stored with the sums in `sums.json` and `results.json`.
 
     ``segments`` contains at most the `health.LISTED_SEGMENTS` longest segments of each recording,
-    in the order of time. A document lists the longest segments first. Findings come from the reader
-    and the stream. Settings are plain values. ``last_stamp_ns`` is the latest stamp that a node
-    has received, so that samples do not count twice if simulated time jumps back; it is None for a
-    recording.
+    in the order of time, or the longest first if they were read from a document. Findings come from
+    the reader and the stream. Settings are plain values. ``last_stamp_ns`` is the latest stamp that
+    a node has received, so that samples do not count twice if simulated time jumps back; it is None
+    for a recording.
     """
 
     sources: tuple[SourceInfo, ...] = ()

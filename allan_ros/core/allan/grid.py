@@ -66,8 +66,8 @@ def allan_variance(sum_sq: Floats, m: NDArray[np.int64], count: NDArray[np.int64
     """Return the Allan variance, (factors, axes), from sums of squared second differences.
 
     The Allan variance is ``sum_sq`` / (2 m^2 ``count``), NIST SP 1065 eq. 11. It is NaN where
-    ``count`` is 0, and 0 where it would be below `MIN_VARIANCE`. ``sum_sq`` is (factors, axes),
-    ``m`` and ``count`` are (factors,).
+    ``count`` and ``sum_sq`` are 0, and 0 where it would be below `MIN_VARIANCE`. ``sum_sq`` is
+    (factors, axes), ``m`` and ``count`` are (factors,).
     """
     squared_m_count = m.astype(float) ** 2 * count  # int64 would overflow after weeks at 1 kHz
     with np.errstate(invalid='ignore', divide='ignore'):
