@@ -127,8 +127,9 @@ def status_of(
 
     The message of the status is the first warning or error in ``findings``, followed by the ids of
     the others; without warnings and errors, it is ``otherwise``. The values of the status are the
-    id of the finding in the message, ``pairs``, and the text of each finding in ``findings`` and
-    ``noted``. Findings in ``noted`` are marked as 'earlier', and change neither level nor message.
+    id of the finding in the message (or 'none'), ``pairs``, and the text of each finding in
+    ``findings`` and ``noted``. Findings in ``noted`` are marked as 'earlier', and change neither
+    level nor message.
     """
     # a finding about an event already states when the event happened
     marked_findings = [(f, '' if f.values.get('when') else 'now: ') for f in findings]

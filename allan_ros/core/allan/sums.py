@@ -249,8 +249,8 @@ def add_sums(a: Sequence[AllanSums], b: Sequence[AllanSums]) -> tuple[AllanSums,
     """Return the sums over two recordings of one IMU, given the sums of each recording.
 
     A recording has one `AllanSums` with all axes, or one `AllanSums` for each sensor if the rates
-    of the sensors differ. `AllanSums` with equal axes are added. If one sequence is empty, the
-    other sequence is returned.
+    or topics of the sensors differ. `AllanSums` with equal axes are added. If one sequence is
+    empty, the other sequence is returned.
 
     Raises
     ------

@@ -73,7 +73,8 @@ class BiasModel(NamedTuple):
 class BiasFilter:
     """Kalman filter for the bias of one axis at rest, from means over 1 s (`MEAN_S`).
 
-    The means are taken as successive, without gaps except for the times that `pause` receives.
+    The means are taken to follow each other without gaps, except for the times that `pause`
+    receives.
 
     Parameters
     ----------
