@@ -212,7 +212,7 @@ def analyze(
 
     Parameters
     ----------
-    source : path, Results, sequence of these, array, DataFrame, mapping of columns, or ImuBatch
+    source : path, Results, list of these, array, DataFrame, mapping of columns, or ImuBatch
         Several paths or results must belong to the same IMU, and give one common result. A path may
         also be an earlier analysis with its Allan sums: a folder, a sums.json, or a checkpoint. The
         Allan sums are then added and fitted, and the recordings are not read again. Arrays are (n,)

@@ -225,10 +225,10 @@ class Results(PlainResults):
             Folder for the files; it is created if it is missing.
         units : 'deg/h' or 'SI'
             Units of the report and the figures.
-        targets : sequence of str
+        targets : list or tuple of str
             Export targets from the list of `allan export --list`. The files for these targets are
             written in addition to the file for Kalibr.
-        plots : sequence of str
+        plots : list or tuple of str
             File formats of figures that are written in addition to the report: 'png', 'svg', 'pdf'.
         overwrite : bool
             Whether results of another recording in this folder, with another file name or topic,

@@ -87,7 +87,7 @@ def compare(
         file without the suffix, or of its folder for a results.json or sums.json. If two of these
         names are equal, all names are the complete paths. Results of `analyze` or `load` have the
         names A, B, C ..., according to their position; truth files are placed first.
-    sensor : str or sequence of str
+    sensor : str, or list or tuple of str
         Datasheets to compare each recording with: names that `allan sensors` lists, or paths of
         .yaml files.
     margin : float

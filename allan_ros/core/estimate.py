@@ -80,6 +80,8 @@ class Estimate:
 
     Examples
     --------
+    >>> from allan_ros import Estimate
+    >>> from allan_ros.core.fields import Fields
     >>> Estimate(1e-4, (9e-5, 1.1e-4), unit='rad/s/sqrt(Hz)').to('deg/sqrt(h)')
     0.3438 (0.309..0.378) deg/sqrt(h)
     >>> Estimate(None, upper95=2e-5, status='not_observable', unit='rad/s').to('deg/h')
