@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from ..core.allan.common_noise import CommonNoise, Samples, common_noise, common_of_axes
+from ..core.allan.transfer import LARGEST_LEAK
 from ..core.errors import AllanError
 from ..core.fields import plain
 from ..core.findings import Finding, finding
@@ -125,7 +126,9 @@ def common_of(recordings: Mapping[str, Recording], settings: SegmenterSettings) 
             findings[row.label] = (*findings[row.label], opposite_finding)
             opposite_axes.add(row.axis)
     for row in rows:
-        if row.measured is not None and row.own is None and row.axis not in opposite_axes:
+        # own N of equal samples is unknown, too, although the IMUs measure the same noise
+        is_unequal = row.measured is not None and row.leak >= LARGEST_LEAK
+        if is_unequal and row.axis not in opposite_axes:
             unequal_finding = finding('unequal_transfer', (row.axis,), share=row.leak)
             findings[row.label] = (*findings[row.label], unequal_finding)
     return CommonResult(tuple(rows), findings)

@@ -304,7 +304,7 @@ def simulate(
     -------
     ImuBatch
         The samples: ``stamps_ns``, (n,), in ns, and ``samples``, (n, 6), in rad/s and m/s^2. The
-        first stamp is 0, unless faults change it.
+        first sample is never lost; without jitter, its stamp is 0.
 
     Raises
     ------

@@ -92,6 +92,12 @@ def test_constant_samples_have_no_coherence() -> None:
     assert not any(f.id == 'axis_opposite' for found in common.findings.values() for f in found)
 
 
+def test_equal_samples_have_no_own_noise_but_no_fault(three: list[ImuBatch]) -> None:
+    common = ar.common(three[0], three[0])
+    assert all(row.own is None and row.leak == 0.0 for row in common.rows)
+    assert 'measure the common noise differently' not in repr(common)
+
+
 def test_the_same_recording_twice_is_refused(three: list[ImuBatch], tmp_path: Path) -> None:
     write_recording(tmp_path / 'a.npz', [three[0]])
     with pytest.raises(AllanError, match='given twice'):

@@ -20,6 +20,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
+from numbers import Real
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +30,7 @@ from ..noise import FLICKER_FLOOR, Model, Process
 from ..noise.derived import bank
 from ..noise.model import BY_LETTER
 from ..noise.process import States
+from ..settings import expect
 
 Floats = NDArray[np.float64]
 
@@ -90,7 +92,7 @@ class StateSpace:
         Raises
         ------
         AllanError
-            When the step is not positive and finite, or a process has no states.
+            When the step is not a positive, finite number, or a process has no states.
         """
         phi = np.eye(self.size)
         for _, process, rows in self._blocks:
@@ -106,7 +108,7 @@ class StateSpace:
         Raises
         ------
         AllanError
-            When the step is not positive and finite, or a process has no states.
+            When the step is not a positive, finite number, or a process has no states.
         """
         q = np.zeros((self.size, self.size))
         q[0, 0] = self.white**2 * _checked(dt)
@@ -137,6 +139,7 @@ class StateSpace:
 
 
 def _checked(dt: float) -> float:
+    expect(Real, step=dt)
     if not 0.0 < dt < math.inf:
         raise AllanError(f'the step is {dt:g} s: give a rate above 0 Hz')
     return dt
