@@ -282,8 +282,8 @@ class ImuWatch(NodePart):
         """Start new sums; ``covered`` are (first, last) stamps in ns of data in the checkpoint.
 
         With simulated time, a recording may be played twice. Samples from a time that the
-        checkpoint covers are therefore excluded. With real time, ``covered`` is
-        not used, because stamps that go back mean that the clock was set.
+        checkpoint covers are therefore excluded. With real time, ``covered`` is not used, because
+        stamps that go back mean that the clock was set.
         """
         is_simulated = bool(self._node.get_parameter('use_sim_time').value)
         self._stream = ImuStream(

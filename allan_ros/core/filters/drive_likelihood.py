@@ -117,8 +117,8 @@ class DriveFit(NamedTuple):
     value : float
         2 log L with the prior of the factors, up to a constant.
     mean, covariance : (r,) array, (r, r) array
-        Posterior mean and covariance of the coefficients of the columns of U. Each column is the
-        effect of one unknown, such as the bias of an accelerometer axis, on the drives.
+        Posterior mean and covariance of the coefficients of the columns of U. The columns are the
+        effects of unknowns, such as the bias of the accelerometer, on the drives.
     information : (k, k) array
         Fisher information of ``log_factors``, with their prior.
     scores : (drives, k) array

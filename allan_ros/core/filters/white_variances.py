@@ -41,8 +41,8 @@ def white_variances(
     -------
     dict of 'gyro' and 'accel' to (x, y, z)
         The variances in the squared unit of the samples. A sensor is excluded if N of one of its
-        axes has neither a resolved estimate nor a finite limit, or if an axis is missing. With a
-        horizon, the same holds for K of an axis whose model has no drift.
+        axes has neither a resolved estimate nor a limit that is positive and finite, or if an axis
+        is missing. With a horizon, the same holds for K of an axis whose model has no drift.
     """
     stds: dict[str, float] = {}
     for name, fit in axes.items():
