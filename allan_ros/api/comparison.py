@@ -108,7 +108,7 @@ def compare(
         ``differences`` are the comparisons of each recording with the first recording, and
         ``checked`` are the results compared with the datasheets. ``differs`` states whether any
         difference is significant or any limit is exceeded. If ``within`` is not 0, ``equivalent``
-        states whether N of all axes is shown to be equal up to this fraction, and no other
+        states whether N of all common axes is shown to be equal up to this fraction, and no other
         coefficient is shown to differ by more. ``differs`` then states whether ``equivalent`` is
         False or any limit is exceeded.
 

@@ -425,7 +425,7 @@ def sample_factors(gyro_unit: str, accel_unit: str) -> NDArray[np.float64]:
 
 
 class ImuIdentity(NamedTuple):
-    """Identity of an IMU: its frame_id, and its serial number ('' if the user stated none)."""
+    """Identity of an IMU: its frame_id, and its serial number ('' if it is unknown)."""
 
     frame_id: str = ''
     hardware_id: str = ''

@@ -34,25 +34,29 @@ PATH = (str, os.PathLike)
 LONGEST_NAME = 255
 """Largest number of bytes in a file name (NAME_MAX of Linux)."""
 
+IDENTITIES = ('frame_id', 'hardware_id')
+"""Names of keyword arguments that identify an IMU: their texts are not limited to file names."""
+
 
 def with_checked_paths(function: Callable[P, T]) -> Callable[P, T]:
     """Decorate a public function so that it raises AllanError for errors of the operating system.
 
     The function also raises AllanError for a text argument that cannot be a path, because it
-    contains a null character or a name that is too long. Not every version of Python reports such
-    an argument.
+    contains a null character or a name that is too long for a file. Not every version of Python
+    reports such an argument. The length of `IDENTITIES` is not checked.
     """
 
     @wraps(function)
     def checked(*args: P.args, **given: P.kwargs) -> T:
-        for value in (*args, *given.values()):
+        for name, value in (*(('', each) for each in args), *given.items()):
             for text in value if isinstance(value, (tuple, list)) else (value,):
                 if not isinstance(text, PATH):
                     continue
                 shown_text, parts = f'{one_line(repr(text)):.60}', str(text).split('/')
                 if '\0' in str(text):
                     raise AllanError(f'{shown_text} has a null character: give a name without it')
-                if max(len(part.encode(errors='replace')) for part in parts) > LONGEST_NAME:
+                longest = max(len(part.encode(errors='replace')) for part in parts)
+                if longest > LONGEST_NAME and name not in IDENTITIES:
                     raise AllanError(f'{shown_text}: File name too long: check the path')
         try:
             return function(*args, **given)

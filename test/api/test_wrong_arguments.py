@@ -138,6 +138,8 @@ CALLS = [
     (lambda r: r['gyro_x'].limit_adev([0, 1]), r'm is \[0, 1\]: averaging factors above 0'),
     (lambda r: r['gyro_x'].total_adev(np.inf), 'm is inf: averaging factors above 0'),
     (lambda r: r['gyro_x'].state_space().transition('x'), "step is 'x': a number is expected"),
+    (lambda r: ar.simulate(0.01, frame_id='a' * 2000), 'frame_id has 2000 characters'),
+    (lambda r: ar.analyze(W, rate=9, hardware_id='a' * 2000), 'hardware id has 2000 characters'),
     (lambda r: ar.adev(W, rate=10**400), r'samples of shape \(100,\) at 1000'),
     (lambda r: ar.adev(W + 1j), 'the samples are not numbers .complex values'),
     (lambda r: ar.fit((TAUS, 1j * TAUS)), 'the curve is not a pair of lists .*complex values'),
