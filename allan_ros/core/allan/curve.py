@@ -381,8 +381,8 @@ class Spectra:
 
     From octave 5 on, the blocks consist of means of samples. The powers of two bins of a block are
     correlated, and so are the powers of overlapping blocks. ``dof`` are the degrees of freedom of
-    the mean power of one bin. A sum over all bins is as accurate as if each bin was independent and
-    had ``shared_dof`` degrees of freedom.
+    the mean power of one bin. A sum over all bins is about as accurate as if each bin was
+    independent and had ``shared_dof`` degrees of freedom.
     """
 
     octave: Ints  # (bins,) octave of each bin
