@@ -28,8 +28,8 @@ class RunComparison:
 
     ``str(comparison)`` has a sentence for each recording except the first, and for each comparison
     with a datasheet. If ``within`` is not 0, a further sentence for each recording except the first
-    states whether this recording is equal to the first. The first sentences name recordings with
-    wrong units or with data that do not show the noise at rest.
+    states whether this recording is equal to the first. The text begins with sentences about
+    recordings that have wrong units or do not show the noise at rest, if any.
 
     Attributes
     ----------
