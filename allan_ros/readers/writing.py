@@ -58,7 +58,7 @@ def write_recording(
     AllanError
         When the path exists and ``overwrite`` is not set, when it is a folder that is not a bag,
         when it cannot be written or is a .bag file, or when a bag is to be written and a stamp does
-        not fit into a message or the package ``rosbags`` is missing.
+        not fit into it or the package ``rosbags`` is missing.
     """
     path = Path(path)
     suffix = path.suffix.lower()
