@@ -322,9 +322,10 @@ class Datasheet(PlainDatasheet):
     def results(self, rate: float = DEFAULT_RATE_HZ) -> Results:
         """Return the noise model of the datasheet as results of an IMU with the sample rate in Hz.
 
-        The model has the stated N and B; if the datasheet states no B, a typical B is assumed.
-        Axes of which the datasheet states nothing are absent. Raises AllanError if the datasheet
-        states B but no N of an axis, or the rate is not a number from 1e-6 to 1e6.
+        The model has the stated N and B. If the datasheet states no B, the flicker noise is assumed
+        to equal the white noise at an averaging time of 10 s. Axes of which the datasheet states
+        nothing are absent. Raises AllanError if the datasheet states B but no N of an axis, or the
+        rate is not a number from 1e-6 to 1e6.
         """
         return Results.of(results_of_datasheet(self, rate))
 

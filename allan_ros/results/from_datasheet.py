@@ -42,7 +42,8 @@ def results_of_datasheet(sheet: Datasheet, rate: float = DEFAULT_RATE_HZ) -> Res
     """
     check_range(SLOWEST_HZ, 1e6, 'Hz', rate=rate)
     axes, axes_without_bias = {}, []
-    for axis, terms in sheet.values().items():
+    stated_axes = {axis: terms for axis, terms in sheet.values().items() if terms}
+    for axis, terms in stated_axes.items():
         if 'N' not in terms:
             raise AllanError(
                 f'{sheet.name} states no N of {axis}: record the sensor at rest and use '

@@ -93,6 +93,14 @@ def test_every_target_is_written_from_a_datasheet(imu: Datasheet, target: str) -
     assert 'date: ' not in text
 
 
+def test_an_axis_without_figures_is_absent(tmp_path: Path) -> None:
+    figures = {'noise_density': {'value': 0.01, 'unit': 'deg/s/sqrt(Hz)', 'sided': 'two'}}
+    document = {'schema': 'allan_ros/sensor/1', 'name': 'one', 'sources': {'a': {'title': 'b'}}}
+    path = tmp_path / 'one.yaml'
+    path.write_text(yaml.safe_dump({**document, 'gyro': figures, 'accel': {}}))
+    assert list(ar.sensor(path).results()) == ['gyro_x', 'gyro_y', 'gyro_z']
+
+
 def test_a_datasheet_without_n_is_rejected(tmp_path: Path) -> None:
     path = tmp_path / 'x2.yaml'
     path.write_text(yaml.safe_dump({key: SHEET[key] for key in SHEET if key != 'gyro'}))
