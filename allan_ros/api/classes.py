@@ -159,10 +159,12 @@ class Results(PlainResults):
         from ..view.plots import draw_axes, sensor_figure
 
         check_choice(UNIT_SYSTEMS, units=units)
-        names = [name for name in self.axes if what in (name, sensor_of(name))]
+        names = [
+            name for name in self.axes if isinstance(what, str) and what in (name, sensor_of(name))
+        ]
         if not names:
             raise AllanError(
-                f'there is no axis or sensor {what!r}: choose one of {", ".join(self.axes)}'
+                f'there is no axis or sensor {what!r:.60}: choose one of {", ".join(self.axes)}'
             )
         axes = {name: self.axes[name] for name in names}
         if ax is None:
@@ -246,6 +248,8 @@ class Results(PlainResults):
         expect(PATH, 'a path', folder=folder)
         check_choice(UNIT_SYSTEMS, units=units)
         expect(LIST, targets=targets, plots=plots)
+        for target in targets:
+            expect(str, target=target)
         check_plots(plots)
         expect(bool, overwrite=overwrite)
         return write_result_files(

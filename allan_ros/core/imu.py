@@ -363,7 +363,10 @@ def real_numbers(values: Any) -> Floats:
     array = np.asarray(np.ma.filled(values, np.nan) if np.ma.is_masked(values) else values)
     if array.dtype.kind in 'cmM':
         raise TypeError('complex values' if array.dtype.kind == 'c' else 'dates or durations')
-    return np.asarray(array, float)
+    try:
+        return np.asarray(array, float)
+    except OverflowError as error:
+        raise ValueError(str(error)) from None
 
 
 def sensor_of(axis: str) -> str:

@@ -143,7 +143,7 @@ class CheckedSettings:
             value = getattr(self, name)
             if info.choices:
                 check_choice(info.choices, **{name: value})
-            if info.auto and value == 'auto':
+            if info.auto and isinstance(value, str) and value == 'auto':
                 object.__setattr__(self, name, AUTO)
                 continue
             kind = next(kind for kind in EXPECTED if isinstance(defaults[name], kind))

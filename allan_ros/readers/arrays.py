@@ -344,8 +344,8 @@ def _axis_names(axes: str | Sequence[str] | None, columns: int | None = None) ->
     names = AXES[SENSORS[axes]] if isinstance(axes, str) and axes in SENSORS else axes
     names = (names,) if isinstance(names, str) else tuple(names)
     for name in names:
-        if name not in AXES:
-            raise AllanError(f'axis {name!r} is unknown: choose from {", ".join(AXES)}')
+        if not isinstance(name, str) or name not in AXES:
+            raise AllanError(f'axis {name!r:.40} is unknown: choose from {", ".join(AXES)}')
     columns = len(names) if columns is None else columns
     if len(set(names)) < len(names) or len(names) != columns:
         raise AllanError(
@@ -381,7 +381,7 @@ def _batch(
     for axis, column in values.items():
         rows[:, axis] = column
     if stamps is None and layout.stamp:
-        first_rows = np.asarray(columns[layout.stamp[0][0]][:FIRST_ROWS])
+        first_rows = np.atleast_1d(np.asarray(columns[layout.stamp[0][0]]))[:FIRST_ROWS]
         # a unit is needed only for times that are neither dates nor durations
         if first_rows.dtype.kind not in 'Mm' and len(layout.stamp) == 1:
             times = _numbers(first_rows)[:, 0]
@@ -396,7 +396,7 @@ def _batch(
 def _nanoseconds(where: object, times: Any, scale: int) -> NDArray[np.int64]:
     """Return dates, durations, or numbers in units of ``scale`` ns as times in ns, (n,)."""
     values = np.asarray(times)
-    if values.dtype.kind in 'Mm':
+    if values.dtype.kind in 'Mm' and values.ndim == 1:
         return values.astype(f'{values.dtype.kind}8[ns]').astype(np.int64)
     with np.errstate(all='ignore'):
         in_ns = _numbers(values)[:, 0] * scale

@@ -18,6 +18,7 @@ with bias instability within 5 % from about 3 s to 3000 s.
 from __future__ import annotations
 
 import math
+import sys
 from dataclasses import dataclass
 from functools import lru_cache
 from numbers import Real
@@ -140,9 +141,9 @@ class StateSpace:
 
 def _checked(dt: float) -> float:
     expect(Real, step=dt)
-    if not 0.0 < dt < math.inf:
-        raise AllanError(f'the step is {dt:g} s: give a rate above 0 Hz')
-    return dt
+    if not 0.0 < dt <= sys.float_info.max:
+        raise AllanError(f'the step is {dt!s:.40} s: give a rate above 0 Hz')
+    return float(dt)
 
 
 def _states(process: Process) -> States:
