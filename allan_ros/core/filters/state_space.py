@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 from ..errors import AllanError
 from ..noise import FLICKER_FLOOR, Model, Process
-from ..noise.derived import bank
+from ..noise.derived import gauss_markov_approximation
 from ..noise.model import BY_LETTER
 from ..noise.process import States
 from ..settings import expect
@@ -238,7 +238,7 @@ def flicker_processes(
     times = np.geomspace(shortest, LONGEST_TIME_S, BANK_SIZE)
     tau = np.geomspace(1.3 * times[0], 2.0 * times[-1], 40)
     step = 1e-6 * shortest  # so short that the result holds for continuous time
-    processes = bank(BY_LETTER['B'], (times / step).tolist(), tau / step)
+    processes = gauss_markov_approximation(BY_LETTER['B'], (times / step).tolist(), tau / step)
     return tuple(
         (bias_instability * math.sqrt(variance), process.in_unit(1.0 / step))
         for variance, process in processes

@@ -127,7 +127,7 @@ class SegmentStatistics:
     def contrasts_of(self, shapes: Floats) -> Floats:
         """Return the contrasts, (contrasts, n), of n series of means, (means, n).
 
-        The first contrast, a line in time, is omitted.
+        The first contrast, which measures a linear change with time, is omitted.
         """
         group = self.known.groups[0]
         return np.asarray(contrasts(group.size)[:, 1:].T @ shapes)
@@ -152,8 +152,8 @@ class AxisSegment:
 
     data: AxisData
     columns: Columns
-    # contrasts of the block means except the line in time, divided by the square root of
-    # `AxisData.scale`, (contrasts,)
+    # (contrasts,) contrasts of the block means, except the contrast that measures a linear change
+    # with time, divided by the square root of `AxisData.scale`
     z: Floats
     fit: Fit
 
@@ -195,8 +195,8 @@ class AxisSegment:
             whitened, z = self._whitened(effects, fit)
             sizes = np.linalg.lstsq(whitened, z, rcond=None)[0]
             residuals = self.z - effects @ sizes
-            low = [LowBand(1, np.outer(residuals, residuals))]
-            data = replace(self.data, low=low)
+            residual_contrasts = [LowBand(1, np.outer(residuals, residuals))]
+            data = replace(self.data, low=residual_contrasts)
             start = np.maximum(fit.p, 1e-6 * fit.p.max())
             value_before = fit.value
             fit = data.solve(fit.components, self.columns, start, tolerance=1e-2)
@@ -283,7 +283,7 @@ class SensorSettling:
 
 @dataclass(frozen=True, eq=False)
 class _Sensor:
-    """Segment in which a settling is searched for, and noise of the axes of one sensor in it."""
+    """Noise of the axes of one sensor in a segment in which a settling is searched for."""
 
     segment: SegmentStatistics
     noise: Mapping[int, AxisSegment]

@@ -41,7 +41,7 @@ class Moments(NamedTuple):
     """Derivatives of the log likelihood with respect to the coefficients of candidates, at zero."""
 
     score: Floats  # (candidates,) first derivatives of the log likelihood
-    information: Floats  # (candidates,) Fisher information
+    information: Floats  # (candidates,) Fisher information of the coefficient of each candidate
 
     # Fisher information between candidates and components of the fit, (candidates, components)
     shared: Floats
@@ -99,7 +99,7 @@ class LowBandFit:
             )
         return matrices
 
-    def dense(self, covariances: Floats) -> Moments:
+    def moments_of(self, covariances: Floats) -> Moments:
         """Return the moments of candidates from their covariances.
 
         ``covariances``, (candidates, contrasts, contrasts), are the covariances of the contrasts
@@ -112,7 +112,7 @@ class LowBandFit:
             half_segments * np.tensordot(covariances, self.components, ((1, 2), (1, 2))),
         )
 
-    def waves(self, waves: Floats) -> Moments:
+    def moments_of_sinusoids(self, waves: Floats) -> Moments:
         """Return the moments of sinusoids; the covariance of the contrasts of a sinusoid is w'w.
 
         ``waves``, (candidates, 2, contrasts), has the matrix w of each sinusoid: the contrasts of
@@ -121,11 +121,11 @@ class LowBandFit:
         """
         quadratic_forms = waves @ self.inverse @ waves.transpose(0, 2, 1)
         half_segments = 0.5 * self.segments
-        outer = (waves[:, :, :, None] * waves[:, :, None, :]).sum(1).reshape(len(waves), -1)
+        covariances = (waves[:, :, :, None] * waves[:, :, None, :]).sum(1).reshape(len(waves), -1)
         return Moments(
             0.5 * np.sum((waves @ self.excess) * waves, (1, 2)),
             half_segments * np.sum(quadratic_forms**2, (1, 2)),
-            half_segments * (outer @ self.components.reshape(len(self.components), -1).T),
+            half_segments * (covariances @ self.components.reshape(len(self.components), -1).T),
         )
 
 
@@ -227,9 +227,9 @@ class Kind:
         )
         for group, matrices in enumerate(low if len(self.slow) else ()):
             if self.first.low_band == 'dense':
-                low_moments = matrices.dense(self.covariances[group])
+                low_moments = matrices.moments_of(self.covariances[group])
             else:
-                low_moments = matrices.waves(self.waves[group])
+                low_moments = matrices.moments_of_sinusoids(self.waves[group])
             for total, part in zip(moments, low_moments):
                 total[self.slow] += part
         return moments

@@ -47,13 +47,13 @@ WHITE_NOISE = 3.0
 that passes its tests. The rate of false alarms that is stated at `CURVATURE` includes this test."""
 
 LOST_POWER = 0.8, 0.5
-"""Least power in the highest octave of a fit, divided by the power two octaves lower. If the
-spectrum looks low-pass filtered, the first fit that is tried has at least this ratio. Fits of more
-frequencies are not tried, because several processes may imitate the filter, and such a fit takes up
-to four times as long. The first number is for the fit of all frequencies. If the ratio of this fit
-is smaller, the second number is for the fits of fewer frequencies. There are two exceptions: the
-fit of the lowest frequencies is never excluded, and the fit of all frequencies is tried if a fast
-process explains the spectrum (`_bends_like_noise`)."""
+"""Least ratios of the power in the highest octave of a fit to the power two octaves lower, for a
+spectrum that looks low-pass filtered. The first number is for the fit of all frequencies, the
+second for fits of fewer frequencies. If the ratio for the fit of all frequencies is too small, this
+fit and the next fits of fewer frequencies are skipped until the ratio is large enough. In a skipped
+fit, several processes might imitate the filter, and the fit would take up to four times as long.
+There are two exceptions: the fit of the lowest frequencies is never skipped, and the fit of all
+frequencies is tried if a fast process explains the spectrum (`_bends_like_noise`)."""
 
 FILTERED_FROM = 0.375
 """Frequency, in cycles per sample, above which the power is compared with a fit (`EXPLAINED`). A
@@ -171,8 +171,8 @@ class _TestResults(NamedTuple):
         return self.fits and not self.looks_filtered and not self.may_hide_filter
 
     @property
-    def is_fair(self) -> bool:
-        """Whether the model cannot hide a filter, and has failed at most one of the other tests."""
+    def nearly_holds(self) -> bool:
+        """Whether the model has failed at most one test, and this test is not `may_hide_filter`."""
         return not self.may_hide_filter and (self.fits or not self.looks_filtered)
 
 
@@ -220,7 +220,7 @@ def _estimate(rules: Selection) -> SelectedModel:
     if len(data.power) < LEAST_BINS:
         rules, fit = rules.selected()
         return SelectedModel(rules, rules.bounded(fit), 0.5, {})
-    best = _highest(rules)
+    best = _highest_trial(rules)
     fit, rules = best.fit, best.rules
     lack: dict[int, float] = {}
     if not best.test_results.holds:
@@ -234,39 +234,40 @@ def _estimate(rules: Selection) -> SelectedModel:
 
 
 def _down_weighted(rules: Selection, fit: Fit) -> tuple[Selection, Fit, dict[int, float]]:
-    """Return a selection with less weight on octaves that differ from the model, and the new fit.
+    """Return the selection and the fit with less weight on octaves that differ from the model.
 
-    Weights and fit are computed twice. The third result is octave -> measured over modeled power,
-    for the octaves that differ from the first or the second model.
+    The weights are computed twice: from ``fit``, and from the fit with the first weights. The third
+    result is octave -> measured over modeled power, for octaves that differ from one of these fits.
     """
     from scipy.special import chdtrc
 
     data = rules.data
-    lack: dict[int, float] = {}
+    power_ratios: dict[int, float] = {}
     for _ in range(2):
         dof = data.dof.copy()
-        for o, (deviance, number) in _deviances(data, fit).items():
-            if chdtrc(number, deviance) * data.statistics.octaves < LACK_OF_FIT:
+        for o, (deviance, deviance_dof) in _deviances(data, fit).items():
+            if chdtrc(deviance_dof, deviance) * data.statistics.octaves < LACK_OF_FIT:
                 in_octave = data.statistics.octave == o
-                dof[in_octave] *= number / deviance
+                dof[in_octave] *= deviance_dof / deviance
                 ratio = data.power[data.used] / fit.spectrum()
-                lack[o] = float(np.mean(ratio[in_octave[data.used]]))
+                power_ratios[o] = float(np.mean(ratio[in_octave[data.used]]))
         rules = replace(rules, data=replace(data, dof=dof))
         fit = rules.without_superfluous(rules.fit(fit.components, fit.p))
-    return rules, fit, lack
+    return rules, fit, power_ratios
 
 
-def _highest(rules: Selection) -> _Trial:
+def _highest_trial(rules: Selection) -> _Trial:
     """Return the trial with the highest frequency for which the model passes all tests.
 
     A trial that does not use all frequencies passes only if the highest octave of the data has less
     power than the white noise of the model. Frequencies at which a filter has removed much power
-    are not tried (`LOST_POWER`).
+    are skipped (`LOST_POWER`).
 
-    A trial that nearly passes is fair (`_TestResults.is_fair`). After the first fair trial, only a
-    half and a quarter of its frequency are tried. If a low-pass filter is the cause, the model
-    passes at one of these frequencies. If no trial passes, the result is the fair trial, or the
-    trial of the highest remaining frequency if none is fair.
+    After the first trial that nearly passes (`_TestResults.nearly_holds`), only a half and a
+    quarter of the frequency of this trial are tried. If a low-pass filter is the cause, the model
+    passes at one of these frequencies. If no trial passes, the result is the first trial that
+    nearly passes. If there is none, the result is the trial of the highest frequency that is not
+    skipped.
     """
     f = rules.data.statistics.f
     tops = [top for top in TOPS if np.sum(f < top) >= LEAST_BINS]
@@ -282,16 +283,16 @@ def _highest(rules: Selection) -> _Trial:
         tops = tops[1:]
         while len(tops) > 1 and _relative_power(rules.data, tops[0]) < LOST_POWER[1]:
             tops = tops[1:]
-    fair_trial = None
+    nearly_passing_trial = None
     for top in tops:
-        if fair_trial is not None and top < fair_trial.top / 4.0:
+        if nearly_passing_trial is not None and top < nearly_passing_trial.top / 4.0:
             break
         trial = _trial(rules, top)
         if trial.test_results.holds and (top == TOPS[0] or _loses_power(rules.data, trial.fit)):
             return trial
-        if fair_trial is None and trial.test_results.is_fair:
-            fair_trial = trial
-    return fair_trial or _trial(rules, tops[0])
+        if nearly_passing_trial is None and trial.test_results.nearly_holds:
+            nearly_passing_trial = trial
+    return nearly_passing_trial or _trial(rules, tops[0])
 
 
 def _bends_like_noise(rules: Selection) -> bool:
@@ -325,7 +326,7 @@ def _with_fast_process(rules: Selection) -> Fit:
     return rules.refined(min(fits, key=lambda each: each.value), [len(base.p)])
 
 
-def _is_rather_filter(rules: Selection, fit: Fit) -> bool:
+def _filter_may_explain(rules: Selection, fit: Fit) -> bool:
     """Return whether a low-pass filter may explain the data instead of the fast processes of a fit.
 
     The fast processes are Gauss-Markov processes that bend the spectrum (`bends_spectrum`). The
@@ -430,6 +431,6 @@ def _test(rules: Selection, fit: Fit) -> _TestResults:
         white = float(fit.p[N]) / math.sqrt(covariance[at, at])
     is_bent = abs(z) > CURVATURE if rules.signed else fit.p[Q] == 0.0 and z < -CURVATURE
     may_hide_filter = (
-        white < WHITE_NOISE or rules.imitates_filter(fit) or _is_rather_filter(rules, fit)
+        white < WHITE_NOISE or rules.imitates_filter(fit) or _filter_may_explain(rules, fit)
     )
     return _TestResults(min(tails) >= LACK_OF_FIT, is_bent, may_hide_filter)

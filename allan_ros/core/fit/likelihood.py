@@ -5,9 +5,9 @@
 Likelihood
 ----------
 The power of each bin of the octave spectra has a Gamma distribution with known degrees of freedom.
-The contrasts of the block means are Gaussian. The line in time among them is not used. The
-likelihood is therefore the restricted likelihood (REML) of the block means with an unknown mean and
-an unknown ramp in each segment.
+The contrasts of the block means are Gaussian. The contrast that measures a linear change with time
+is not used. The likelihood is therefore the restricted likelihood (REML) of the block means with an
+unknown mean and an unknown ramp in each segment.
 
 The expected power and the covariance of the contrasts are linear in the coefficients. One step of
 Fisher scoring is therefore a linear least-squares problem with nonnegative unknowns.
@@ -180,12 +180,12 @@ class AxisData:
             scale = sum(t for t, _ in traces) / max(sum(n for _, n in traces), 1)
         scale = scale if scale > 0.0 else 1.0
         grams = without_lines([g.gram[axis] for g in statistics.groups], statistics.sizes)
-        low = [
+        low_bands = [
             LowBand(g.segments, gram / scale, g.size.points)
             for g, gram in zip(statistics.groups, grams)
         ]
-        used = np.ones(len(power), bool)
-        return cls(statistics, axis, scale, power / scale, low, dof, used)
+        used_bins = np.ones(len(power), bool)
+        return cls(statistics, axis, scale, power / scale, low_bands, dof, used_bins)
 
     def columns(self, components: Sequence[Process], tangents: Sequence[Shape] = ()) -> Columns:
         """Return the expected statistics of components, and then their derivatives.
@@ -193,18 +193,19 @@ class AxisData:
         There is one derivative for each shape parameter in ``tangents``, with respect to the
         logarithm of this parameter. The result contains the power of the used bins only.
         """
-        columns = [self.statistics.column(each, self.axis) for each in components]
-        power = [each.power for each in columns]
-        low = [without_lines(each.low, self.statistics.sizes) for each in columns]
+        columns = [self.statistics.column(component, self.axis) for component in components]
+        power = [column.power for column in columns]
+        covariances = [without_lines(column.low, self.statistics.sizes) for column in columns]
         for i, parameter in tangents:
             h = parameter.derivative_step
             shifted = self.statistics.column(
                 components[i].scaled(parameter, math.exp(h)), self.axis
             )
             power.append((shifted.power - power[i]) / h)
-            shifted_low = without_lines(shifted.low, self.statistics.sizes)
-            low.append([(b - a) / h for a, b in zip(low[i], shifted_low)])
-        return Columns(np.array(power).T[self.used], [np.array(group) for group in zip(*low)])
+            shifted_covariances = without_lines(shifted.low, self.statistics.sizes)
+            covariances.append([(b - a) / h for a, b in zip(covariances[i], shifted_covariances)])
+        covariances_of_groups = [np.array(group) for group in zip(*covariances)]
+        return Columns(np.array(power).T[self.used], covariances_of_groups)
 
     def moments(
         self, columns: Columns, coefficients: Floats
@@ -494,7 +495,7 @@ def ramp_estimate(data: AxisData, fit: Fit) -> RampEstimate | None:
             continue  # a ramp has no effect on symmetric contrasts
         d = np.array([column[g] for column in columns])
         line_weights = contrasts(group.size)[:, 0]
-        # value of the first contrast, whose weights are a line in time, for a ramp of 1 per sample
+        # value of the first contrast, which measures a linear change, for a ramp of 1 per sample
         unit_line = statistics.step * float(np.arange(group.size.points) @ line_weights)
         e = np.zeros(d.shape[1])
         e[0] = unit_line

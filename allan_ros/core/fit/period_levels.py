@@ -37,7 +37,8 @@ of an axis count as different. In a search for a change, the probability is firs
 number of periods. Measured false alarms: none in 240 recordings."""
 
 TOP_OCTAVES = 3
-"""Number of octaves, the highest ones, in which the level of the white noise is measured."""
+"""Number of octaves, counted from the highest frequencies, in which the level of the white noise is
+measured."""
 
 SINUSOID_RATIO = 1.5
 """Largest ratio of the power of a bin to the median power of all bins of its octave. A bin with a
@@ -141,10 +142,10 @@ class PeriodLevels:
         Both results are 1 if the level of all data is unknown or 0.
         """
         part_index = np.floor(np.cumsum(self.samples) / (PART * self.samples.sum()) - 1e-9)
-        rows = (
+        parts = (
             slice(*np.flatnonzero(part_index == i)[[0, -1]] + [0, 1]) for i in np.unique(part_index)
         )
-        levels = [self.mean(axis, each) for each in rows if self.dof[each, axis].any()]
+        levels = [self.mean(axis, rows) for rows in parts if self.dof[rows, axis].any()]
         ratios = np.sqrt(np.array(levels) / (self.mean(axis) or np.nan))
         if not np.isfinite(ratios).all():
             return 1.0, 1.0

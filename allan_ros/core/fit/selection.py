@@ -119,18 +119,21 @@ class Selection:
     def selected(self) -> tuple[Selection, Fit]:
         """Return the selection and the selected fit.
 
-        If processes were added, bins that contain sinusoids have less weight (`weighed`).
+        If processes were added, bins that contain sinusoids have less weight
+        (`with_reduced_sinusoid_weights`).
         """
         rules, fit = self, self.base_fit
         while len(fit.p) < len(self.base) + MAX_PROCESSES:
             larger = rules._with_one_more(fit)
             if larger is None:
                 break
-            rules, fit = self.weighed(larger)
+            rules, fit = self.with_reduced_sinusoid_weights(larger)
             if self.imitates_filter(fit):
                 return rules, fit
         reduced = rules.without_superfluous(fit)
-        return (rules, fit) if reduced is fit else self.weighed(reduced)
+        if reduced is fit:
+            return rules, fit
+        return self.with_reduced_sinusoid_weights(reduced)
 
     def _with_one_more(self, fit: Fit) -> Fit | None:
         """Return the fit with the best further process, or None if no gain exceeds a threshold."""
@@ -321,7 +324,7 @@ class Selection:
         best = self.refined(best, [index])
         return best if fit.value - best.value > threshold else fit
 
-    def weighed(self, fit: Fit) -> tuple[Selection, Fit]:
+    def with_reduced_sinusoid_weights(self, fit: Fit) -> tuple[Selection, Fit]:
         """Return the selection with less weight on bins that contain sinusoids, and the new fit.
 
         A real sinusoid is never as narrow as in the model, so that a bin in which a sinusoid
@@ -331,9 +334,9 @@ class Selection:
         sinusoids = [i for i, c in enumerate(fit.components) if c.is_line]
         columns = [self.data.statistics.column(c, self.data.axis).power for c in fit.components]
         powers = fit.p[:, None] * np.array(columns)
-        share = np.clip(powers[sinusoids].sum(0) / powers.sum(0), 0.0, 1.0)
+        sinusoid_share = np.clip(powers[sinusoids].sum(0) / powers.sum(0), 0.0, 1.0)
         least_dof = np.minimum(self.data.dof, LEAST_LINE_DOF)
-        dof = np.maximum(self.data.dof * (1.0 - share) ** 2, least_dof)
+        dof = np.maximum(self.data.dof * (1.0 - sinusoid_share) ** 2, least_dof)
         other_power = np.maximum(powers.sum(0) - powers[sinusoids].sum(0), 1e-300)
         for i in sinusoids:
             alias = fit.p[i] * self.candidates.alias(fit.components[i].shape[0])

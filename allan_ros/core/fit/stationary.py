@@ -149,22 +149,22 @@ def _from_period(sums: AllanSums, omitted: int) -> AllanSums:
 # --- fit of each axis -----------------------------------------------------------------------------
 
 
-def fit_likelihood(sums: AllanSums, of_axes: Sequence[Statistics] = ()) -> NoiseModel:
+def fit_likelihood(sums: AllanSums, statistics_of_axes: Sequence[Statistics] = ()) -> NoiseModel:
     """Estimate the noise of every axis by maximum likelihood.
 
-    ``of_axes`` are the statistics of the sums for each axis, if they are already computed. They
-    must take the settling of a sensor into account (see `statistics`).
+    ``statistics_of_axes`` are the statistics of the sums for each axis, if they are already
+    computed. They must take the settling of a sensor into account (see `statistics`).
 
     Too few data raise no error: an axis with too few statistics, or without noise, has no values
     and no limits, and a finding reports the axis. An axis whose spectra are not finite has no
     values and no finding.
     """
     tau0 = sums.tau0 or 1.0
-    of_axes = of_axes or [statistics(sums)] * len(sums.axes)
-    candidates_of = {axis_statistics: Candidates(axis_statistics) for axis_statistics in of_axes}
+    statistics_of_axes = statistics_of_axes or [statistics(sums)] * len(sums.axes)
+    candidates_of = {each: Candidates(each) for each in statistics_of_axes}
     axes: dict[str, AxisFit] = {}
     findings: list[Finding] = []
-    for a, (name, known) in enumerate(zip(sums.axes, of_axes)):
+    for a, (name, known) in enumerate(zip(sums.axes, statistics_of_axes)):
         candidates, daily = candidates_of[known], daily_cycle(known.longest, tau0)
         number = len(known.f) + sum(g.size.high for g in known.groups)
         is_constant = _is_constant(sums, a)
@@ -297,10 +297,11 @@ at most 1.5 % of the sensors for each kind of level. Measured: 2 of 150 sensors 
 of 1800 for the spectra of drift, and 19 of 1800 for the innovations of the block means."""
 
 SCALES = (3, 6, 12)
-"""Numbers of parts of a recording whose levels are compared."""
+"""Numbers of parts into which the data are divided to compare the levels of the parts. If periods
+are long, there are fewer parts."""
 
 LEAST_PARTS = 3
-"""Fewest parts of a recording from which the scatter of the levels is computed."""
+"""Fewest parts of the data from which the scatter of the levels is computed."""
 
 
 def scatter(levels: PeriodLevels, axes: Sequence[int]) -> float:
@@ -334,20 +335,20 @@ def scatter(levels: PeriodLevels, axes: Sequence[int]) -> float:
         ]
         if not joined_levels:
             continue
-        statistic, total_freedom, excess, information = 0.0, 0, 0.0, 0.0
-        for power, dof, share in joined_levels:
-            freedom = len(dof) - 1
-            correction = 1.0 + (np.sum(1.0 / dof) - 1.0 / dof.sum()) / (3.0 * freedom)
-            mean = np.average(power, weights=dof)
-            statistic += float(np.sum(dof * np.log(mean / power))) / correction
-            total_freedom += freedom
-            weight = 1.0 / polygamma(1, dof / 2.0)
+        statistic, total_dof, excess, information = 0.0, 0, 0.0, 0.0
+        for power, level_dof, share in joined_levels:
+            axis_dof = len(level_dof) - 1
+            correction = 1.0 + (np.sum(1.0 / level_dof) - 1.0 / level_dof.sum()) / (3.0 * axis_dof)
+            mean = np.average(power, weights=level_dof)
+            statistic += float(np.sum(level_dof * np.log(mean / power))) / correction
+            total_dof += axis_dof
+            weight = 1.0 / polygamma(1, level_dof / 2.0)
             level = np.log(power)
             squares = weight @ (level - np.average(level, weights=weight)) ** 2
-            excess += float(squares) - freedom
+            excess += float(squares) - axis_dof
             information += float(weight.sum() - weight @ weight / weight.sum()) * share**2
-        if excess > 0.0 and chdtrc(total_freedom, statistic) < SCATTER:
-            quantile = float(stdtrit(total_freedom / len(joined_levels), 0.975))
+        if excess > 0.0 and chdtrc(total_dof, statistic) < SCATTER:
+            quantile = float(stdtrit(total_dof / len(joined_levels), 0.975))
             largest = max(largest, quantile * math.sqrt(excess / information) / 2.0)
     return largest
 

@@ -9,12 +9,14 @@ expectation is a linear function of gamma(M, j) (`Process.gamma`). This function
 leakage of the taper and the aliases of the decimation.
 
 Below the crossover frequency, the statistics are contrasts: sums of the block means of a segment,
-weighted with cosines that are orthogonal to a constant and to a line. Their covariance is a linear
-function of gamma(M, j), too. Segments of equal length share one Gram matrix.
+weighted with cosines that are orthogonal to a constant and to a linear change with time. The
+covariance of the contrasts is a linear function of gamma(M, j), too. Segments of equal length share
+one Gram matrix.
 
 Contrasts whose weights are symmetric in time are uncorrelated with contrasts whose weights are
-antisymmetric, because the autocovariance does not depend on the direction of time. Many contrasts
-are therefore divided into two groups, so that the matrices are small.
+antisymmetric, because the autocovariance does not depend on the direction of time. If there are
+many contrasts and no settling, the contrasts are therefore divided into two groups, so that the
+matrices are small.
 """
 
 from __future__ import annotations
@@ -63,7 +65,7 @@ class Size(NamedTuple):
 
     @property
     def lines(self) -> int:
-        """1 if the first contrast is a line in time, which is antisymmetric; else 0."""
+        """1 if the first contrast measures a linear change with time, 0 if no contrast does."""
         return 0 if self.symmetry > 0 else 1
 
     def halves(self) -> list[Size]:
@@ -80,7 +82,7 @@ class Size(NamedTuple):
 
 
 Sizes = tuple[Size, ...]
-"""Sizes of the contrasts of all groups of segments."""
+"""Numbers that determine the contrasts of each group of segments."""
 
 LOWEST_BLOCKS = 2
 """Least length of the longest segment, in spectral blocks of the lowest octave. With this length,
@@ -94,9 +96,9 @@ MOST_CONTRASTS = 300
 one contrast. If there are spectra, only cosines below the crossover frequency are used."""
 
 LEAST_DIVIDED = 32
-"""Fewest contrasts of a segment, apart from the line in time, that are divided into antisymmetric
-and symmetric contrasts. With fewer contrasts, the computation with two small covariance matrices
-takes as much time as the computation with one large matrix."""
+"""Least number of cosines of a segment for which the contrasts are divided into antisymmetric and
+symmetric contrasts. With fewer cosines, the computation with two small covariance matrices takes as
+much time as the computation with one large matrix."""
 
 SETTLED = 5.0
 """Time, in time constants, after which a settling has ended: 0.7 % of its size is left."""
@@ -151,10 +153,10 @@ def _power_of(gamma: Gamma, octaves: int) -> Floats:
 def contrasts(size: Size) -> Floats:
     """Return the weights of block means in each contrast, (points, contrasts).
 
-    The columns are a line in time, unless all weights are symmetric, and `Size.high` cosines of 1,
-    2, ... half periods. Antisymmetric cosines have an odd number of half periods, symmetric cosines
-    an even number. The columns are made orthonormal, and orthogonal to a constant and to the
-    settling, if there is one.
+    The columns are a linear function of time, unless all weights are symmetric, and `Size.high`
+    cosines of 1, 2, ... half periods. Antisymmetric cosines have an odd number of half periods,
+    symmetric cosines an even number. The columns are made orthonormal, and orthogonal to a constant
+    and to the settling, if there is one.
     """
     points, high, decay, symmetry = size
     t = np.arange(points)
@@ -193,7 +195,7 @@ def _transformed(size: Size) -> Floats:
     return np.concatenate([f.real] * (size.symmetry >= 0) + [f.imag] * (size.symmetry <= 0))
 
 
-@lru_cache(maxsize=96)  # enough for the processes of a fit and the latest shapes of a search
+@lru_cache(maxsize=96)  # enough for all processes of a fit and the shapes that were tried last
 def _low_covariances(process: Process, step: int, sizes: Sizes) -> list[Floats]:
     """Return the covariance of the contrasts of block means for unit noise, for each size."""
     return _covariances_of(process.gamma, step, sizes)
@@ -242,8 +244,8 @@ class Column(NamedTuple):
 
     power: Floats  # (bins,) expected power
 
-    # covariance of the contrasts of each group, (contrasts, contrasts); if a line in time is among
-    # the contrasts, it is the first
+    # covariance of the contrasts of each group, (contrasts, contrasts); if one of the contrasts
+    # measures a linear change with time, it is the first
     low: list[Floats]
 
 
@@ -295,7 +297,7 @@ class Statistics:
 
     @cached_property
     def sizes(self) -> Sizes:
-        """Size of the contrasts of each group."""
+        """Numbers that determine the contrasts of each group."""
         return tuple(group.size for group in self.groups)
 
     @cached_property
@@ -313,7 +315,7 @@ class Statistics:
         count like half a block on average.
         """
         power = self.power_of(White())
-        low = _low_covariances(White(), self.step, self.sizes)
+        covariances = _low_covariances(White(), self.step, self.sizes)
         sizes = np.array([octave(o).length for o in range(self.octaves)])
         length = self.replaced[:, 0]
         is_short = length[:, None] <= MAX_INTERPOLATED * sizes  # shape (stretches, octaves)
@@ -321,7 +323,7 @@ class Statistics:
         columns = []
         for stretches_per_sample in self.replaced[:, 2:].T / max(self.samples, 1):
             if not stretches_per_sample.any():
-                columns.append(Column(power, low))
+                columns.append(Column(power, covariances))
                 continue
             share_of_ends = stretches_per_sample @ np.where(is_short, 0.0, sizes / 2.0)
             excluded_share = stretches_per_sample @ np.where(
@@ -332,11 +334,12 @@ class Statistics:
                 gamma = replaced_excess(
                     self.replaced, np.where(first_octave == o, stretches_per_sample, 0.0)
                 )
-                excess = np.where(self.octave >= o, _power_of(gamma, self.octaves), 0.0)
-                axis_power = axis_power + excess
+                excess_power = np.where(self.octave >= o, _power_of(gamma, self.octaves), 0.0)
+                axis_power = axis_power + excess_power
             gamma = replaced_excess(self.replaced, stretches_per_sample)
-            low_excess = _covariances_of(gamma, self.step, self.sizes)
-            columns.append(Column(axis_power, [a + b for a, b in zip(low, low_excess)]))
+            excess_covariances = _covariances_of(gamma, self.step, self.sizes)
+            axis_covariances = [a + b for a, b in zip(covariances, excess_covariances)]
+            columns.append(Column(axis_power, axis_covariances))
         return columns
 
     def dof_of(self, axis: int) -> Floats:
@@ -355,15 +358,15 @@ class Statistics:
         """Return the expected statistics of an axis for a process with the coefficient 1."""
         if process == LowPassCurvature():
             q = self.column(Quantization())
-            return Column(q.power**2, [0.0 * low for low in q.low])
+            return Column(q.power**2, [0.0 * covariance for covariance in q.low])
         if process == White():
             return self.white[axis]
         aliases = mean_alias(process, self.step)
         if aliases:
-            low = [aliases * each for each in self.white[axis].low]
+            covariances = [aliases * covariance for covariance in self.white[axis].low]
         else:
-            low = _low_covariances(process, self.step, self.sizes)
-        return Column(self.power_of(process), low)
+            covariances = _low_covariances(process, self.step, self.sizes)
+        return Column(self.power_of(process), covariances)
 
 
 def mean_alias(process: Process, step: int) -> float:
@@ -406,12 +409,12 @@ class Settling:
 
 
 def statistics(sums: AllanSums, settling: Settling | None = None) -> Statistics:
-    """Return the statistics of Allan sums, in which a settling has no effect on a fit.
+    """Return the statistics of Allan sums for a fit that takes a settling into account.
 
     A settling is an exponential change of the bias after the start of a recording. The contrasts of
     segments that contain the settling are orthogonal to its exponential, so that the size of the
     settling has no effect. The share of the settling in the power of the octave spectra is
-    computed, and a fit subtracts it.
+    computed, and a fit subtracts it. If ``settling`` is None, no settling is assumed.
     """
     spectra = pooled_spectra(sums)
     longest = sums.longest

@@ -4,9 +4,10 @@
 
 Model
 -----
-The block means of the Allan sums are modeled as a sum: a constant and a line in time for each
-recording, the effects of the temperature T, and noise. The effects are b1 (T - T0), b2 (T - T0)^2
-and hysteresis (dT/dt) / (2 r) with r = mean |dT/dt|. `docs/method.md` derives the fit.
+The block means of the Allan sums are modeled as a sum: a constant and a linear change with time for
+each recording, the effects of the temperature T, and noise. The effects are b1 (T - T0),
+b2 (T - T0)^2 and hysteresis (dT/dt) / (2 r) with r = mean |dT/dt|. The fit is derived in
+`docs/method.md`.
 """
 
 from __future__ import annotations
@@ -170,7 +171,7 @@ def _blocks(sums: AllanSums, time_ns: Ints, celsius: Floats) -> _TemperatureBloc
     pause = reading_times[next_reading] - reading_times[next_reading - 1]
     is_known = np.isfinite(mean) & (pause < max(LONGEST_PAUSE_S / (step * tau0), 2.0))
     return _TemperatureBlocks(
-        step, *(each[is_known] for each in (recording, time, mean, spread, values))
+        step, *(column[is_known] for column in (recording, time, mean, spread, values))
     )
 
 
@@ -182,7 +183,7 @@ def _rises_and_falls(celsius: Floats, least: float) -> bool:
 
 
 def _complement(columns: Floats) -> Floats:
-    """Return an orthonormal basis of the contrasts that are orthogonal to some columns."""
+    """Return orthonormal columns that are orthogonal to all given columns."""
     q, _ = np.linalg.qr(columns, mode='complete')
     return np.asarray(q[:, columns.shape[1] :])
 
@@ -249,7 +250,9 @@ def half_widths(variances: ArrayLike, dof: ArrayLike) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class _Contrasts:
-    """Contrasts of the block means of one axis without constants and lines; their mean square is 1.
+    """Contrasts of the block means of one axis, divided by their root mean square.
+
+    A constant and a linear change with time of each recording have no effect on the contrasts.
 
     Attributes
     ----------
@@ -260,7 +263,7 @@ class _Contrasts:
     known : (processes,) array
         Squared coefficients relative to ``data.scale``, NaN for coefficients that are to be fitted.
     z : (contrasts,) array
-        Contrasts of the block means.
+        Contrasts of the block means; their mean square is 1.
     covariances : (processes, contrasts, contrasts) array
         Covariance of the contrasts for unit noise of each process.
     """
@@ -299,15 +302,16 @@ class _Contrasts:
         """
         covariances = self.covariances
         precision = np.linalg.inv(np.tensordot(fit.p, covariances, 1))
-        weighed = precision @ effects
-        covariance = inverse(effects.T @ weighed)  # singular if there are only two temperatures
-        gain = covariance @ weighed.T
+        weighted_effects = precision @ effects
+        # the information is singular if there are only two temperatures
+        covariance = inverse(effects.T @ weighted_effects)
+        gain = covariance @ weighted_effects.T
         gain_covariances = gain @ covariances  # shape (processes, effects, contrasts)
         errors = inverse(fit.information)
         slopes = np.einsum('kei,ei->ek', gain_covariances, gain)
         variance_errors = np.einsum('ek,kl,el->e', slopes, errors, slopes)
         dof = 2.0 * np.diag(covariance) ** 2 / np.maximum(variance_errors, 1e-300)
-        residual = precision - weighed @ gain
+        residual = precision - weighted_effects @ gain
         correction = np.einsum(
             'kei,kl,lfi->ef', gain_covariances @ residual, errors, gain_covariances, optimize=True
         )
@@ -319,8 +323,8 @@ def _contrasts(
 ) -> _Contrasts:
     """Return the contrasts of the block means of one axis.
 
-    The columns of ``basis``, (blocks, contrasts), are orthogonal to a constant and a line in time
-    for each recording.
+    The columns of ``basis``, (blocks, contrasts), are orthogonal to a constant and to a linear
+    change with time in each recording.
     """
     noise = _block_noise(fit, tau0, blocks.step)
     lags = np.abs(np.subtract.outer(blocks.time, blocks.time))

@@ -137,7 +137,7 @@ def _draw(eigenvalues: Floats, rng: np.random.Generator) -> Floats:
     return np.asarray(fft.irfft(spectrum, size, overwrite_x=True))
 
 
-def bank(
+def gauss_markov_approximation(
     process: Process, times: Sequence[float], m: ArrayLike
 ) -> tuple[tuple[float, GaussMarkov], ...]:
     """Return Gauss-Markov processes whose sum approximates the Allan variance of a process.
@@ -157,8 +157,8 @@ def bank(
     tuple of (float, GaussMarkov)
         Variance of each Gauss-Markov process, and the process; only variances above 0.
     """
-    members = [GaussMarkov(float(time)) for time in times]
+    gauss_markov_processes = [GaussMarkov(float(time)) for time in times]
     target = avar(process, m)
-    columns = np.stack([avar(member, m) / target for member in members], axis=1)
+    columns = np.stack([avar(each, m) / target for each in gauss_markov_processes], axis=1)
     variances = nonnegative_least_squares(columns, np.ones(len(target)))
-    return tuple((float(v), member) for v, member in zip(variances, members) if v > 0.0)
+    return tuple((float(v), each) for v, each in zip(variances, gauss_markov_processes) if v > 0.0)

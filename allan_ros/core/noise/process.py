@@ -60,9 +60,9 @@ a bin at the lower end of an octave of the spectra."""
 
 
 class States(NamedTuple):
-    """Linear system dx/dt = A x + v with white noise v and the output c^T x.
+    """Linear system dx/dt = A x + v, with white noise v, whose output c^T x is a noise process.
 
-    The output is the process with the coefficient 1.
+    The coefficient of the noise process is 1.
     """
 
     dynamics: Floats  # matrix A, (states, states), per unit of time

@@ -18,7 +18,7 @@ from scipy.linalg import expm
 import allan_ros
 import allan_ros as ar
 from allan_ros.core.findings import CATALOG
-from allan_ros.core.noise.derived import avar, bank, growth_variance, simulate
+from allan_ros.core.noise.derived import avar, gauss_markov_approximation, growth_variance, simulate
 from allan_ros.core.noise.process import FREQUENCY, Process, Search
 from allan_ros.core.noise.processes.white import White
 from allan_ros.core.noise.registry import PROCESSES, RANDOM_TERMS, REPLACEMENTS, SEARCHED
@@ -147,7 +147,7 @@ def test_the_states_have_the_variances_of_gamma_or_there_is_a_reason(process: Pr
 
 
 @EVERY
-def test_a_bank_of_gauss_markov_processes_replaces_missing_states(process: Process) -> None:
+def test_a_sum_of_gauss_markov_processes_replaces_missing_states(process: Process) -> None:
     """Those that have no exact states, for the reason that they have too long a memory.
 
     No sum of them resembles white noise, its differences, or a sinusoid.
@@ -155,8 +155,8 @@ def test_a_bank_of_gauss_markov_processes_replaces_missing_states(process: Proce
     if not process.no_states or not process.is_drift or process.is_line or process.is_white:
         return
     m = np.round(np.geomspace(8.0, 300.0, 20))
-    members = bank(process, np.geomspace(4.0, 12000.0, 9), m)
-    total = sum((v * avar(one, m) for v, one in members), np.zeros(len(m)))
+    approximation = gauss_markov_approximation(process, np.geomspace(4.0, 12000.0, 9), m)
+    total = sum((v * avar(one, m) for v, one in approximation), np.zeros(len(m)))
     np.testing.assert_allclose(total, avar(process, m), rtol=0.06)
 
 

@@ -63,7 +63,8 @@ class Sinusoid(Process):
     def grid(cls, search: Search) -> Iterator[Process]:
         """Yield sinusoids whose frequencies are half a bin apart within each octave.
 
-        Below the lowest bin, each next sinusoid has half a period more in the longest segment.
+        Below the lowest bin, successive sinusoids differ by half a period over the length of the
+        longest segment.
         """
         f, highest = search.f, min(search.crossover, 0.5 / search.step)
         low_frequencies = np.arange(LEAST_PERIODS, search.longest * highest, 0.5) / search.longest
