@@ -249,9 +249,9 @@ def analyze(
         complete 95 % interval of the ratio of the new to the earlier coefficient lies above
         1 + margin.
     hardware_id : str
-        Serial number of the IMU in recordings and samples; earlier results keep their serial
-        number. Results with a common axis can be added only if their serial numbers and frame_ids
-        are equal.
+        Serial number of the IMU in recordings and samples. Results and earlier analyses in
+        ``source`` keep their own serial number. Results with a common axis can be added only if
+        their serial numbers and frame_ids are equal.
     processes : int
         Largest number of recordings that are read at the same time, each in its own process. With
         1, they are read one after the other in this process.

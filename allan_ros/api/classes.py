@@ -81,7 +81,7 @@ class Results(PlainResults):
         True
         """
         check_choice(UNIT_SYSTEMS, units=units)
-        return [finding_line(each, units) for each in grouped(self.findings)]
+        return [finding_line(finding, units) for finding in grouped(self.findings)]
 
     @classmethod
     def of(cls, results: PlainResults) -> Results:
@@ -92,7 +92,7 @@ class Results(PlainResults):
         >>> ar.Results.of(results) == results
         True
         """
-        return cls(**{each.name: getattr(results, each.name) for each in fields(results)})
+        return cls(**{field.name: getattr(results, field.name) for field in fields(results)})
 
     def _repr_html_(self) -> str:
         """Return the verdict and the coefficients as HTML for the output of a notebook cell."""

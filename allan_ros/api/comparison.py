@@ -134,7 +134,8 @@ def compare(
     sources = tuple(sorted(sources, key=lambda s: not (isinstance(s, PATH) and is_truth(s))))
     expect_different_paths(sources)
     unshortened_names = [
-        _name_in_memory(i) if isinstance(s, PlainResults) else str(s) for i, s in enumerate(sources)
+        _name_by_position(i) if isinstance(s, PlainResults) else str(s)
+        for i, s in enumerate(sources)
     ]
     labels = labels_of(unshortened_names)
     if len({*labels}) < len(labels):
@@ -201,7 +202,7 @@ def common(*sources: Any, rate: float = 0.0, **options: Any) -> CommonResult:
     reading, settings = read_settings(options, rate)
     expect_different_paths(sources)
     recordings: dict[str, Recording] = {}
-    paths = [str(s) if isinstance(s, PATH) else _name_in_memory(i) for i, s in enumerate(sources)]
+    paths = [str(s) if isinstance(s, PATH) else _name_by_position(i) for i, s in enumerate(sources)]
     for source, path, label in zip(sources, paths, labels_of(paths)):
         if not isinstance(source, PATH):
             recordings[label] = recording_in_memory(source, reading)
@@ -223,10 +224,10 @@ def expect_different_paths(sources: Sequence[Any]) -> None:
         raise AllanError('an input is given twice: give different recordings')
 
 
-def _name_in_memory(position: int) -> str:
-    """Return the name of data in memory: 'A' to 'Z' by position, then 'A2' to 'Z2', and so on."""
-    n_rounds, letter = divmod(position, len(ascii_uppercase))
-    return f'{ascii_uppercase[letter]}{n_rounds + 1 if n_rounds else ""}'
+def _name_by_position(position: int) -> str:
+    """Return the name of a source without a path: 'A' to 'Z', then 'A2' to 'Z2', and so on."""
+    earlier_alphabets, letter = divmod(position, len(ascii_uppercase))
+    return f'{ascii_uppercase[letter]}{earlier_alphabets + 1 if earlier_alphabets else ""}'
 
 
 @public

@@ -152,7 +152,7 @@ class Estimate:
 
     @property
     def magnitude(self) -> Estimate:
-        """The estimate of the magnitude of the number, that is, without the sign of its value."""
+        """The estimate, multiplied by -1 if its value is negative."""
         return self.times(-1.0) if (self.value or 0.0) < 0.0 else self
 
     def times(self, factor: float) -> Estimate:

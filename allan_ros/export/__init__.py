@@ -198,7 +198,7 @@ def _inflation(noise: FilterNoise) -> str:
     note, motion = 'the levels below are without these factors', noise.results.motion
     if noise.options.motion and motion is not None:
         factors_in_motion = ', '.join(
-            f'{name} {_raised(sensor_in_motion)}'
+            f'{name} {_factors_text(sensor_in_motion)}'
             for name, sensor_in_motion in motion.sensors.items()
         )
         return f'in motion, {factors_in_motion}, from {len(motion.drives)} drives; {note}'
@@ -211,7 +211,7 @@ def _inflation(noise: FilterNoise) -> str:
     return f'{factor_text} on every N, K and bias; {note}'
 
 
-def _raised(sensor: SensorInMotion) -> str:
+def _factors_text(sensor: SensorInMotion) -> str:
     """Return the factors of a sensor in motion as text, such as 'N x2.7 (2.2 to 3.3)'."""
     terms: dict[Estimate, list[str]] = {}
     for term, factor in sensor.raised.items():

@@ -253,7 +253,7 @@ class FilterNoise:
         chosen.
         """
         axes = self.axes_of(key.sensor)
-        has_common_tau = any(each.what == 'common_tau' for each in self.target.keys)
+        has_common_tau = any(other.what == 'common_tau' for other in self.target.keys)
         tau = self.common_tau if has_common_tau else None
         # axis whose model has no correlation time -> K from which the process is computed
         walk_levels, sigmas_and_taus = {}, []

@@ -140,8 +140,8 @@ class ImuEstimate(NodePart):
     def tick(self, now: float) -> None:
         """Publish the results of a finished fit, or report the error with which it failed.
 
-        If the sums have been replaced while they were fitted, start a new fit instead, if there are
-        sums.
+        If the Allan sums were replaced during the fit, its results and its error are ignored, and
+        the new sums are fitted if they contain samples.
         """
         if self._fitting is None or not self._fitting.done():
             return
@@ -185,9 +185,10 @@ class ImuEstimate(NodePart):
         return statuses
 
     def _comparisons(self, margin: float) -> tuple[Check, ...]:
-        """Return checks against datasheet and baseline; they are cached until results change.
+        """Return the checks of the results against the datasheet and the baseline.
 
-        They are also computed again for another margin.
+        The checks are cached until the results or the margin change. Without results, there are no
+        checks.
         """
         results = self._results
         if results is None:

@@ -101,7 +101,7 @@ class FormerValues:
         self._stored = dict(values)
 
     def close(self) -> None:
-        """Unlock the file. A file with values is kept."""
+        """Unlock the file; its content is not changed."""
         self._lock.release()
 
     def _read(self) -> dict[str, Former]:

@@ -213,8 +213,8 @@ class RelaySettings(CheckedSettings):
     )
     debiased: bool = parameter(
         False,
-        'Whether the driver removes the gyro bias or the state estimator estimates it; if true, '
-        'the variance does not cover the bias.',
+        'Do not cover the gyro bias with the variance. Set this if the driver removes the bias, or '
+        'if the state estimator estimates it.',
     )
     inflate: float = parameter(
         1.0, 'Factor by which the standard deviation is multiplied.', '', 1.0, 1000.0

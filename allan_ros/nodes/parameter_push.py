@@ -115,7 +115,8 @@ class ParameterPush(NodePart):
         self._answers: list[Any] = []  # futures of the answers
         self._asked_at = self._due_at = 0.0
         self._former: FormerValues | None = None  # None until the file with former values is open
-        self._was_killed = False  # whether values of an earlier program must be restored
+        # whether an earlier program was killed, and the values that it replaced must be restored
+        self._must_restore = False
         if target:
             self._set = owner.create_client(SetParameters, f'{target}/set_parameters')
             # created last: a node that answers this client has also discovered the client above
@@ -136,7 +137,7 @@ class ParameterPush(NodePart):
     @property
     def _refusal(self) -> str:
         """Why no value may be set and former values are restored; '' if values may be set."""
-        if self._was_killed:
+        if self._must_restore:
             return KILLED
         return self._invalid if self._settings.value.enabled else 'push.enabled is false'
 
@@ -157,7 +158,7 @@ class ParameterPush(NodePart):
         if self._former is None:
             self._open(now)
             return
-        if self._reason and self._found():
+        if self._reason and self._found_values():
             if self._is_running():
                 self._resume(self._restoring(self._reason))
         elif not self._reason and self._results is not None:
@@ -206,12 +207,12 @@ class ParameterPush(NodePart):
         """
         self._cancel()
         self._plan = None
-        if self._found() and self._set.service_is_ready():
+        if self._found_values() and self._set.service_is_ready():
             executor = SingleThreadedExecutor(context=self._owner.context)
             executor.add_node(self._owner)
             self._resume(self._restoring('this node ends'))
             self._finish(executor)
-            if found := self._found():
+            if found := self._found_values():
                 self._answers = self._write(found)
                 self._finish(executor)
             executor.remove_node(self._owner)
@@ -248,7 +249,9 @@ class ParameterPush(NodePart):
         if self._get.service_is_ready() and self._set.service_is_ready():
             self._notes.pop('', None)
             return True
-        former_texts = ', '.join(f'{n} = {text_of(values)}' for n, values in self._found().items())
+        former_texts = ', '.join(
+            f'{n} = {text_of(values)}' for n, values in self._found_values().items()
+        )
         restore_text = f'; {former_texts} will be restored' if former_texts else ''
         self._note('', f'{self.node} is not running: start it, or correct push.node{restore_text}')
         return False
@@ -272,8 +275,9 @@ class ParameterPush(NodePart):
     def _rows(self, plan: PushPlan, results: Results) -> tuple[Row, ...]:
         """Return the rows of the export target, with the factors in motion if these are known.
 
-        A gain also covers the bias at rest, unless the driver removes the bias. Raises AllanError
-        if the noise model or the bias is not complete.
+        If the state estimator has no bias state, its gain also covers the bias of the gyro at rest,
+        unless ``push.debiased`` is true. Raises AllanError if the noise model cannot be exported,
+        or if this bias is needed and not known yet.
         """
         options = replace(plan.options, motion=results.motion is not None)
         bias: dict[str, float] = {}
@@ -321,7 +325,7 @@ class ParameterPush(NodePart):
     def _setting(self, proposals: list[Proposal]) -> Requests:
         """Read the parameters of the other node, and set proposals that differ and are allowed."""
         answers = yield self._read([proposal.name for proposal in proposals])
-        if self._refusal:  # setting values may have become forbidden since the request was sent
+        if self._refusal:  # since the request was sent, it may have become forbidden to set values
             return
         accepted_proposals: list[Proposal] = []
         for proposal, answer in zip(proposals, answers):
@@ -406,7 +410,7 @@ class ParameterPush(NodePart):
         self._notes.pop('', None)
         self._former, self._due_at = former, now
         self._held = {n: Held(f.sent[-1], f.found, f.sent) for n, f in stored.items() if f.sent}
-        self._was_killed = bool(self._held)
+        self._must_restore = bool(self._held)
 
     def _store(self) -> bool:
         """Write the former values to the file, and return whether this was possible."""
@@ -425,13 +429,13 @@ class ParameterPush(NodePart):
             if held.now == held.found:
                 held.found = ()
 
-    def _found(self) -> dict[str, Numbers]:
+    def _found_values(self) -> dict[str, Numbers]:
         """Return parameter -> former value for each parameter that has been set."""
-        return {name: held.found for name, held in self._held.items() if held.found}
+        return {name: known.found for name, known in self._held.items() if known.found}
 
     def _restoring(self, reason: str) -> Requests:
         """Restore the former value of each parameter that no other program has changed."""
-        found, former_values = self._found(), {}
+        found, former_values = self._found_values(), {}
         answers = yield self._read([*found])
         for name, answer in zip(found, answers):
             values = self._numbers_of(name, answer.values)
@@ -439,7 +443,7 @@ class ParameterPush(NodePart):
             if values in held.sent:
                 former_values[name] = found[name]
             # there is nothing to restore, for example after a restart of the other node
-            elif values in (None, held.found) or self._was_killed:
+            elif values in (None, held.found) or self._must_restore:
                 del self._held[name]
             else:
                 self._leave(name, values)
@@ -463,7 +467,7 @@ class ParameterPush(NodePart):
                 name, f'{self.node} refused the former {text_of(former_values[name])}: {refusal}'
             )
         self._notes = {n: note for n, note in self._notes.items() if not n or n in self._held}
-        self._was_killed = self._was_killed and bool(refusals)
+        self._must_restore = self._must_restore and bool(refusals)
         self._store()
 
     def _leave(self, name: str, values: Numbers) -> None:

@@ -132,10 +132,10 @@ class Bag:
     def survey(self) -> Survey:
         """Return the topics of the bag, and the number of messages of each topic.
 
-        The numbers are taken from metadata.yaml. If this file is missing, or states no Imu
-        messages, which may be wrong, each file is asked for its numbers of messages, and the larger
-        number is used for each topic. Raises AllanError when a file that is opened is missing,
-        damaged, or not a bag; the first file is always opened.
+        The numbers are taken from metadata.yaml if it was read and states more than 0 Imu messages.
+        Otherwise, the numbers in the files of the bag are determined as well, and the larger number
+        is used for each topic. Raises AllanError when a file that is opened is missing, damaged, or
+        not a bag; the first file is always opened.
         """
         metadata = self.described or Survey()
         survey = Survey(metadata.topics.copy(), metadata.counts.copy())

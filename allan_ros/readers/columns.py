@@ -178,9 +178,10 @@ class ColumnLayout:
         Raises
         ------
         AllanError
-            When the options state no unit, and the unit in the name is unknown, or is so small that
-            the sample period would be implausible. The period is judged only if there are at least
-            `ENOUGH` stamps and they are times since 1970 in another unit.
+            When the options state no unit, and the unit in the name of the column is unknown or
+            wrong. It is wrong if there are at least `ENOUGH` stamps, if the sample period in this
+            unit is shorter than `SHORTEST_NS`, and if the stamps are times since 1970 in another
+            unit.
         """
         if len(self.stamp) != 1 or not len(times):
             return self

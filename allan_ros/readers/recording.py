@@ -77,8 +77,8 @@ class ReadOptions(CheckedSettings):
     )
     columns: tuple[str, ...] = parameter(
         (),
-        'columns of a table: a name for each column (- excludes a column), or gx=NAME,gy=NAME,... '
-        'with the names in the header of the columns to use',
+        'columns of a table: a name for each column (- excludes a column), or gx=NAME,gy=NAME,..., '
+        'where NAME is the name of the column in the header',
     )
     rate_hz: float = parameter(
         0.0, 'sample rate of a table or array without stamps; 0: not given', unit='Hz', low=0.0

@@ -151,9 +151,9 @@ def _no_imu(path: Path, survey: Survey) -> AllanError:
 def open_bag(path: Path, options: ReadOptions) -> Recording:
     """Open the Imu topic of a bag as a recording; ``path`` is a bag folder or a bag file.
 
-    Raises AllanError when the bag cannot be read, when it has no Imu topic or not the topics that
-    the options select, when it has several Imu topics with messages and the options select none, or
-    when the topic has no messages or another serialization than `ENCODINGS`.
+    Raises AllanError when the bag cannot be read, when a needed Imu topic is missing, when several
+    Imu topics have messages and the options select none of them, or when the topic has no messages
+    or its serialization is not one of `ENCODINGS`.
     """
     bag = bag_of(path)
     survey = bag.survey()
@@ -172,7 +172,7 @@ def open_bag(path: Path, options: ReadOptions) -> Recording:
             axes=axes,
             close=bag.close,
             accel=accel,
-            other_topics=sorted(other_names, key=lambda name: -_shared(name, topic.name)),
+            other_topics=sorted(other_names, key=lambda name: -_shared_parts(name, topic.name)),
         )
 
     if not options.accel_topic:
@@ -248,10 +248,11 @@ class _Reader:
             earlier_messages += len(block)
 
     def temperature(self, frame_id: str) -> TemperatureTrace | None:
-        """Return the temperature of the IMU over time; None if no topic or several may contain it.
+        """Return the temperature of the IMU over time; None if it is not known.
 
-        If there are several Temperature topics, the only topic with the ``frame_id`` of the IMU is
-        used. The result is also None if this topic contains no plausible temperature.
+        If there is one Temperature topic, it is used. If there are several, the topic with the
+        ``frame_id`` of the IMU is used, if exactly one topic has this frame_id. The result is also
+        None if the used topic contains no plausible temperature.
         """
         readings_by_topic = [
             (topic, [t for message in messages if (t := _temperature(topic, *message))])
@@ -326,14 +327,14 @@ def _thermometers(topics: Sequence[Topic], imu_topic: str) -> list[Topic]:
     The list is empty if there are more than `MAX_THERMOMETERS` such topics.
     """
     temperature_topics = [topic for topic in topics if topic.type == TEMPERATURE_TYPE]
-    longest = max((_shared(topic.name, imu_topic) for topic in temperature_topics), default=0)
+    longest = max((_shared_parts(topic.name, imu_topic) for topic in temperature_topics), default=0)
     nearest_topics = [
-        topic for topic in temperature_topics if _shared(topic.name, imu_topic) == longest
+        topic for topic in temperature_topics if _shared_parts(topic.name, imu_topic) == longest
     ]
     return nearest_topics if len(nearest_topics) <= MAX_THERMOMETERS else []
 
 
-def _shared(name: str, other: str) -> int:
+def _shared_parts(name: str, other: str) -> int:
     """Return how many parts at the start of two topic names are equal; '/' separates the parts."""
     pairs = list(zip(name.strip('/').split('/'), other.strip('/').split('/')))
     parts_are_equal = [a == b for a, b in pairs]

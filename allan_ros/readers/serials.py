@@ -61,7 +61,8 @@ class SerialRule:
         """Return the serial number of the IMU whose recording is at ``path``.
 
         Raises AllanError if there is no serial number, if it has more than `MAX_NAME` characters,
-        or if the file cannot be read or is of a type to which the rule does not apply.
+        or if a needed file is missing or cannot be read: a .csv, .tsv or .npz file for
+        ``column:NAME``, the metadata.yaml of a rosbag2 for ``metadata:KEY``.
         """
         file_path = Path(path)
         if self._kind == 'name':

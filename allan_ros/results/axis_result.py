@@ -45,8 +45,8 @@ class AxisResult:
     curve : AxisCurve or None
         The measured Allan deviation in SI; None if only the coefficients are known.
     regions : tuple of Region
-        Ranges of averaging times, each with the noise that dominates in it; empty if there
-        is no curve, and after `fit`.
+        Ranges of averaging times, each with the noise that dominates in it; empty if there is no
+        curve, and in the results of `fit`.
     name : str
         Name of the axis, such as 'gyro_z'.
     rounding : float or None

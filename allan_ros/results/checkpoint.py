@@ -117,8 +117,9 @@ class Checkpoint:
     def total(self, sums: tuple[AllanSums, ...], provenance: Provenance) -> Total:
         """Return the sums of all runs, given the sums and the provenance of this run.
 
-        Only the sums of this run are returned if the file is of another IMU, has other axes or
-        another unit of measurement, cannot be read, or is used by another node, or without a path.
+        Only the sums of this run are returned if there is no path, or if the file cannot be read,
+        is used by another node, or contains sums of another IMU, other axes, another sample rate or
+        another unit of measurement.
         """
         self._has_new_samples = bool(sums)
         if sums and _has_wrong_unit(self.earlier[0]) and not _has_wrong_unit(sums):
@@ -167,7 +168,7 @@ class Checkpoint:
     def start_over(self, total: Total) -> str:
         """Save the total, rename the file to ``<name>.previous``, and start with empty sums.
 
-        Returns the path of the renamed file, also if there was no file to rename. If the file
+        Returns the path ``<name>.previous``, also if there was no file to rename. If the file
         cannot be written or renamed, its sums are kept and '' is returned.
         """
         previous = f'{self.path}.previous'

@@ -49,7 +49,7 @@ def measured_values(results: Results) -> dict[tuple[str, str], Estimate]:
     return estimates
 
 
-def _texts(sensor: str, term: str, *values: float, digits: int = 3) -> tuple[str, ...]:
+def _value_texts(sensor: str, term: str, *values: float, digits: int = 3) -> tuple[str, ...]:
     """Return values of a term as texts in the unit of the list ``measured``, then this unit.
 
     ``values`` are in SI.
@@ -67,7 +67,7 @@ def measured_entry(results: Results) -> str:
     """Return results as YAML text, for the list ``measured`` in the file of a datasheet."""
     terms: dict[str, list[str]] = {}
     for (sensor, term), estimate in measured_values(results).items():
-        value, low, high, unit = _texts(sensor, term, *_numbers(estimate), digits=4)
+        value, low, high, unit = _value_texts(sensor, term, *_numbers(estimate), digits=4)
         text = f'      {term}: {{value: {value}, low: {low}, high: {high}, unit: {unit}}}'
         terms.setdefault(f'    {sensor}:', []).append(text)
     return '\n'.join(
@@ -87,7 +87,7 @@ def measured_check_text(check: Check) -> str:
     low, high = check.measured.ci95 or (math.nan, math.nan)
     numbers = (check.measured.value, low, high, check.lower, check.upper)
     known_numbers = (math.nan if number is None else number for number in numbers)
-    value, low_text, high_text, lowest, highest, unit = _texts(
+    value, low_text, high_text, lowest, highest, unit = _value_texts(
         check.axis, check.quantity, *known_numbers
     )
     return (
@@ -154,6 +154,6 @@ def measured_lines(sheet: Datasheet) -> Iterator[str]:
             details = (f'{entry.hours:g} h' if entry.hours else '', entry.condition, entry.url)
             yield from (f'  {text}' for text in details if text)
             shown_entry = entry
-        value, low, high, unit = _texts(sensor, term, *_numbers(entry.values[sensor][term]))
+        value, low, high, unit = _value_texts(sensor, term, *_numbers(entry.values[sensor][term]))
         ratio_text = f', {significant(ratio, 2)} times the datasheet' if ratio else ''
         yield f'  {sensor} {term} {value} ({low}..{high}) {unit}{ratio_text}'

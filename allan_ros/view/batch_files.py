@@ -253,7 +253,11 @@ def _curves(row: UnitRow, sensor: str) -> dict[str, AxisCurve]:
 
 @dataclass(frozen=True)
 class _Frame:
-    """Range of the drawings of a sensor: log10 of averaging times (s) and Allan deviations (SI)."""
+    """Limits of the axes of the drawings of one sensor, as logarithms to base 10.
+
+    ``left`` and ``right`` are for averaging times in s, ``bottom`` and ``top`` for Allan deviations
+    in SI.
+    """
 
     left: float
     right: float

@@ -39,8 +39,8 @@ from .table import WIDE, Cell, Heading, Table, terminal_lines
 def stated_limits(texts: Mapping[str, Sequence[str]]) -> dict[str, str]:
     """Return term -> its different limits as one text, such as '0.3 °/√h / 0.4 °/√h'."""
     return {
-        term: ' / '.join(dict.fromkeys(pretty_unit(text) for text in each)).replace(' ', NO_BREAK)
-        for term, each in texts.items()
+        term: ' / '.join(dict.fromkeys(map(pretty_unit, limits))).replace(' ', NO_BREAK)
+        for term, limits in texts.items()
     }
 
 
@@ -405,11 +405,11 @@ def common_lines(common: CommonResult, units: str = 'deg/h', columns: int = WIDE
     and errors are not wrapped.
     """
     yield from terminal_lines(common_table(common, units), columns)
-    for label, found in common.findings.items():
+    for label, findings in common.findings.items():
         yield from (
-            f'{each.severity}: {label}: {finding_line(each)}'
-            for each in found
-            if each.severity != 'info'
+            f'{finding.severity}: {label}: {finding_line(finding)}'
+            for finding in findings
+            if finding.severity != 'info'
         )
 
 

@@ -256,9 +256,9 @@ def used_samples(results: Results) -> str:
     """Return the number of used samples as text, such as '60,000 samples'.
 
     If more than `SHOWN_UNUSED_SHARE` of the received samples are unused, the text also states the
-    number of received samples: '737,856 of 1,000,000 samples'. This number is omitted if more than
-    `SHOWN_UNUSED_SHARE` of the samples in ``counts.used`` are not among the used samples, because a
-    second sensor stream contains them or the fit excludes them.
+    number of received samples: '737,856 of 1,000,000 samples'. This number is omitted if
+    ``provenance.counts`` also includes a second sensor stream, or samples that the fit excludes,
+    and these samples are more than `SHOWN_UNUSED_SHARE` of ``counts.used``.
     """
     used, counts = results.samples, results.provenance.counts
     least_used_share = 1.0 - SHOWN_UNUSED_SHARE

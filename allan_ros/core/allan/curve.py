@@ -234,16 +234,16 @@ class AxisCurve:
     Attributes
     ----------
     m : (factors,) int64 array
-        Averaging factors in samples; after `fit` of lists tau and adev, the ratios of tau to the
-        shortest tau, rounded.
+        Averaging factors in samples. If `fit` was called with lists tau and adev, the ratios of tau
+        to the shortest tau, rounded.
     tau : (factors,) float64 array
         Averaging times in s, ascending.
     n : (factors,) int64 array
-        Number of second differences in each point; 0 if unknown, after `fit` of lists.
+        Number of second differences in each point; 0 if `fit` was called with lists.
     adev, ci_low, ci_high : (factors,) float64 arrays
-        Allan deviation and its limits in the unit of the samples; the limits are NaN after `fit` of
-        lists. The shape is (factors, axes) in an `AllanCurve`, and (factors, columns) for samples
-        with several columns.
+        Allan deviation and its limits in the unit of the samples; the limits are NaN if `fit` was
+        called with lists. The shape is (factors, axes) in an `AllanCurve`, and (factors, columns)
+        for samples with several columns.
 
     Examples
     --------

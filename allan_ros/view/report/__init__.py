@@ -127,14 +127,16 @@ def render_report(
         *_findings_section(results),
     ]
     body += _fold('motion', 'Error in motion', [*_motion(results)], shown=True)
-    temperature_host = (
+    temperature_element = (
         '<div class="charts" data-kind="temperature"></div>' if data['temperature'] else ''
     )
     body += _fold(
-        'trends', 'Bias and noise over time', [*_hosts(charts, 'trends'), temperature_host]
+        'trends',
+        'Bias and noise over time',
+        [*_chart_elements(charts, 'trends'), temperature_element],
     )
-    body += _fold('density', 'Noise density', _hosts(charts, 'density'))
-    body += _fold('signal', 'Raw signal', _hosts(charts, 'signal'))
+    body += _fold('density', 'Noise density', _chart_elements(charts, 'density'))
+    body += _fold('signal', 'Raw signal', _chart_elements(charts, 'signal'))
     for id, title, content in (
         ('model', 'Other terms and parts of the model', model_html),
         ('growth', 'Predicted error without correction', growth_html),
@@ -158,7 +160,7 @@ def _fold(id: str, title: str, content: Sequence[str], shown: bool = False) -> I
         yield '</details>'
 
 
-def _hosts(charts: Sequence[Mapping[str, Any]], kind: str) -> list[str]:
+def _chart_elements(charts: Sequence[Mapping[str, Any]], kind: str) -> list[str]:
     """Return the empty HTML elements into which a script draws the charts of one kind."""
     html = '<div class="charts" data-kind="{}" data-sensor="{}"></div>'
     names = [chart['sensor'] for chart in charts if chart[kind]]
