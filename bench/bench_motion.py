@@ -261,7 +261,9 @@ def show_recordings(paths: list[str]) -> None:
 def show(motion: NoiseInMotion) -> None:
     """Print the factors of each sensor and the causes."""
     for name, one in motion.sensors.items():
-        print(f'  {name} {one.factor}, raised {dict(one.raised)}, with causes {one.explained}')
+        print(
+            f'  {name} {one.factor}, of terms {dict(one.term_factors)}, with causes {one.explained}'
+        )
     print('  causes', [cause.name for cause in motion.causes])
 
 

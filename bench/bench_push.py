@@ -118,7 +118,7 @@ def proposed_gain(samples: np.ndarray) -> tuple[float, float]:
     assert results.motion is not None
     bias = {axis: abs(results.axes[axis].at_rest.mean) for axis in AXES[:3]}
     row = next(iter(target_rows(results, 'imu_filter_madgwick', ExportOptions(motion=True), bias)))
-    factor = results.motion.sensors['gyro'].raised.get('N')
+    factor = results.motion.sensors['gyro'].term_factors.get('N')
     return row.value, 1.0 if factor is None or factor.value is None else factor.value
 
 

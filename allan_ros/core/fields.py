@@ -34,8 +34,8 @@ MAX_ITEMS = 1_000_000
 
 Signed = Annotated[float, 'may be negative']
 SignedInt = Annotated[int, 'may be negative']
-"""Types of dataclass fields whose values may be negative in a document. The values of fields of the
-types float and int must be 0 or above."""
+"""A dataclass field of the type `Signed` or `SignedInt` may be negative in a document. The values
+of fields of the types float and int must be 0 or above."""
 
 _REQUIRED = object()
 
@@ -115,11 +115,12 @@ class Fields:
                 'give a file that this version wrote'
             )
 
-    def only(self, *known: str) -> None:
-        """Raise AllanError if the object has a key other than the known ones."""
+    def allow_only(self, *known_keys: str) -> None:
+        """Raise AllanError if the object has a key that is not one of ``known_keys``."""
         for key in self:
-            if key not in known:
-                raise AllanError(f'{self.where}: {key!r:.40} is unknown, use {", ".join(known)}')
+            if key not in known_keys:
+                known = ', '.join(known_keys)
+                raise AllanError(f'{self.where}: {key!r:.40} is unknown, use {known}')
 
     def text(self, key: str, default: object = _REQUIRED, longest: int = MAX_TEXT) -> str:
         """Return the text under a key, of at most ``longest`` characters.
@@ -270,7 +271,7 @@ class Fields:
             return tuple(texts)
         if args[1:] == (Ellipsis,) and get_origin(args[0]) is tuple:
             n = len(get_args(args[0]))
-            return tuple(self._tuple(key, each, n) for each in self.sequence(key))
+            return tuple(self._tuple(key, values, n) for values in self.sequence(key))
         if args[1:] == (Ellipsis,):
             return tuple(fields.record(args[0]) for fields in self.each(key))
         if origin is tuple:

@@ -229,8 +229,9 @@ def simulate_imu(
     Raises
     ------
     AllanError
-        When the first batch is requested, and the duration or the rate is out of range, the number
-        of samples is rounded to 0, the seed is negative, or the samples do not fit into memory.
+        If the duration or the rate is out of range, the number of samples is rounded to 0, the seed
+        is negative, or the samples do not fit into memory. The error is raised when the first batch
+        is requested.
     """
     n, tau0 = samples_in(seconds, rate), 1.0 / rate
     if seed < 0:

@@ -214,7 +214,7 @@ def _inflation(noise: FilterNoise) -> str:
 def _factors_text(sensor: SensorInMotion) -> str:
     """Return the factors of a sensor in motion as text, such as 'N x2.7 (2.2 to 3.3)'."""
     terms: dict[Estimate, list[str]] = {}
-    for term, factor in sensor.raised.items():
+    for term, factor in sensor.term_factors.items():
         terms.setdefault(factor, []).append(term)
     texts = []
     for factor, names in terms.items():

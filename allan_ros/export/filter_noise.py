@@ -122,7 +122,7 @@ def noise_factors(results: Results, options: ExportOptions) -> Mapping[str, Mapp
     factors = {sensor: {'N': 1.0, 'K': 1.0} for sensor in SENSORS}
     for sensor, sensor_in_motion in results.motion.sensors.items():
         factors[sensor] |= {
-            term: max(f.value or 1.0, 1.0) for term, f in sensor_in_motion.raised.items()
+            term: max(f.value or 1.0, 1.0) for term, f in sensor_in_motion.term_factors.items()
         }
     return factors
 

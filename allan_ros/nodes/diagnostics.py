@@ -429,7 +429,7 @@ def motion_status(
         error_texts.append('{} error {} ({} to {})'.format(error, *ratio_and_ends))
         factor_key = f'factor of the {error} error'
         pairs += [(f'{factor_key}{end}', text) for end, text in zip(ENDS, ratio_and_ends)]
-        for term, factor in sensor_motion.raised.items():
+        for term, factor in sensor_motion.term_factors.items():
             pairs.append((f'factor of {term} of the {sensor}', significant(factor.value or 1.0, 2)))
         if low > limit:
             axes = tuple(axis for axis in AXES if sensor_of(axis) == sensor)

@@ -72,7 +72,7 @@ def load_push_plan(name: str) -> PushPlan:
     path = config_file('filters', name, 'plan for push.filter')
     fields = Fields(read_yaml(path), str(path))
     fields.schema(SCHEMA)
-    fields.only('schema', 'target', 'estimates_bias', 'horizon', 'parameters')
+    fields.allow_only('schema', 'target', 'estimates_bias', 'horizon', 'parameters')
     target = fields.choice('target', PUSHED_TARGETS)
     estimates_bias = 'estimates_bias' in fields and fields.value('estimates_bias')
     if target not in GAINS and not estimates_bias:

@@ -119,13 +119,13 @@ def measured_from_document(fields: Fields) -> Measured:
 
     Raises AllanError if a key is unknown, or a number is missing or invalid.
     """
-    fields.only('by', 'url', 'hours', 'condition', *SI_UNITS)
+    fields.allow_only('by', 'url', 'hours', 'condition', *SI_UNITS)
     values: dict[str, dict[str, Estimate]] = {}
     for sensor in (name for name in SI_UNITS if name in fields):
         terms = fields.fields(sensor)
         for term in terms:
             entry = terms.fields(term)
-            entry.only('value', 'low', 'high', 'unit')
+            entry.allow_only('value', 'low', 'high', 'unit')
             stated = entry.number('value', 1.0 / MAX_FLOAT)
             factor = entry.quantity(SI_UNITS[sensor][term]) / stated
             value, low, high = (entry.number(key) * factor for key in ('value', 'low', 'high'))
@@ -306,7 +306,7 @@ def sheet_from_document(fields: Fields) -> Datasheet:
     axes = fields.fields('axes')
     for axis in axes:
         terms = axes.fields(axis)
-        terms.only(*TERMS)
+        terms.allow_only(*TERMS)
         for term in terms:
             limit_fields = terms.fields(term)
             limit = limit_fields.record(Limit, value=limit_fields.number('limit'))
@@ -331,7 +331,7 @@ def load_sensor(name: str) -> Datasheet:
         return _datasheet(fields)
     # a product, such as a camera, has the figures of its sensor and the sources of both files
     fields.schema(SCHEMA)
-    fields.only('schema', 'name', 'maker', 'remark', 'sources', 'carries')
+    fields.allow_only('schema', 'name', 'maker', 'remark', 'sources', 'carries')
     with located(f'{fields.where}.carries'):
         # the file that the key `carries` names must not have this key: products are not nested
         sensor = _datasheet(_file(fields.text('carries')))
@@ -352,7 +352,7 @@ def _file(name: str) -> Fields:
 
 def _datasheet(fields: Fields) -> Datasheet:
     fields.schema(SCHEMA)
-    fields.only('schema', 'name', 'maker', 'remark', 'sources', 'measured', *SI_UNITS, *AXES)
+    fields.allow_only('schema', 'name', 'maker', 'remark', 'sources', 'measured', *SI_UNITS, *AXES)
     sources = _sources(fields)
     limits: dict[str, dict[str, Limit]] = {}
     for axis in AXES:
@@ -379,13 +379,13 @@ def _sources(fields: Fields) -> dict[str, Source]:
 
 
 def _source(fields: Fields) -> Source:
-    fields.only('title', 'revision', 'url', 'seen', 'via')
+    fields.allow_only('title', 'revision', 'url', 'seen', 'via')
     return fields.record(Source)
 
 
 def _limits(fields: Fields, sensor: str, sources: Collection[str]) -> dict[str, Limit]:
     walk_key, units = ('arw' if sensor == 'gyro' else 'vrw'), SI_UNITS[sensor]
-    fields.only(walk_key, 'noise_density', 'bias_instability')
+    fields.allow_only(walk_key, 'noise_density', 'bias_instability')
     limits = {}
     # A random walk takes precedence over a noise density, because the random walk is N itself,
     # whereas a density may be one- or two-sided.
@@ -405,7 +405,7 @@ def _quantity(fields: Fields, unit: str, sources: Collection[str], meaning: str 
     ``unit`` is the SI unit of the limit. ``meaning`` is a key of `MEANINGS` that the object must
     contain in addition; '' for none. Raises AllanError if the object is invalid.
     """
-    fields.only('value', 'unit', 'condition', 'source', *([meaning] if meaning else []))
+    fields.allow_only('value', 'unit', 'condition', 'source', *([meaning] if meaning else []))
     factor, note = 1.0, ''
     if meaning:
         factor, note = MEANINGS[meaning][fields.choice(meaning, tuple(MEANINGS[meaning]))]

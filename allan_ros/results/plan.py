@@ -298,14 +298,14 @@ def plan_from_document(document: object, where: str) -> Plan:
     """
     fields = Fields(document, where)
     fields.schema(SCHEMA)
-    fields.only('schema', 'name', 'remark', *SENSORS, *AXES, *IMU_UNITS)
+    fields.allow_only('schema', 'name', 'remark', *SENSORS, *AXES, *IMU_UNITS)
     axes: dict[str, dict[str, Limits]] = {}
     for axis in AXES:
         for name in (sensor_of(axis), axis):
             stated_limits = fields.optional_fields(name)
             if stated_limits is not None:
                 units = AXIS_UNITS[sensor_of(axis)]
-                stated_limits.only(*units)
+                stated_limits.allow_only(*units)
                 axis_limits = {
                     key: _limits(stated_limits.fields(key), key, units[key])
                     for key in stated_limits
@@ -336,7 +336,7 @@ def _limits(fields: Fields, quantity: str, unit: str) -> Limits:
     the object is invalid.
     """
     optional_keys = {'bias': ('at',), 'orientation': ('up',)}.get(quantity, ())
-    fields.only('lower', 'upper', 'unit', *optional_keys)
+    fields.allow_only('lower', 'upper', 'unit', *optional_keys)
     unit_name = fields.text('unit', '' if unit == '' else unit)
     scale = _scale(unit_name, unit, fields.where)
     lower, upper = (fields.number(k) * scale if k in fields else None for k in ('lower', 'upper'))

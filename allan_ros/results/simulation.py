@@ -70,7 +70,7 @@ def read_specification(path: str | os.PathLike[str]) -> tuple[Fields | None, Fau
     fields = Fields(read_yaml(Path(path)), str(path))
     if 'schema' in fields:
         fields.schema(TRUTH_SCHEMA)
-    fields.only('noise', 'faults', 'schema', 'seconds', 'rate_hz', 'seed')
+    fields.allow_only('noise', 'faults', 'schema', 'seconds', 'rate_hz', 'seed')
     fault_fields = fields.optional_fields('faults')
     with located(f'{path}.faults'):
         fault_values = (
@@ -98,7 +98,7 @@ def with_noise(noise: AxesNoise, stated: Fields) -> AxesNoise:
     ``noise`` maps each axis to a noise model in SI. ``stated`` contains coefficients by sensor or
     axis. Raises AllanError if a coefficient is invalid.
     """
-    stated.only(*SI_UNITS, *AXES)
+    stated.allow_only(*SI_UNITS, *AXES)
     return {
         axis: noise[axis].changed(
             **{
@@ -154,7 +154,7 @@ def stated_noise(
 
 def _terms(stated: Fields, sensor: str) -> dict[str, float]:
     coefficients: dict[str, float] = {}
-    stated.only(*SI_UNITS[sensor])
+    stated.allow_only(*SI_UNITS[sensor])
     for term in stated:
         if isinstance(stated.value(term), dict):
             coefficients[term] = stated.fields(term).quantity(SI_UNITS[sensor][term])

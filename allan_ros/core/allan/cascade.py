@@ -486,7 +486,10 @@ class Cascade:
                 yield from self._close()
 
     def _close(self) -> Iterator[Block]:
-        """Yield the sums over the parts of full blocks, from level 0 on, and begin new blocks."""
+        """Yield the sums over the parts of each full block, and begin new blocks.
+
+        The blocks are closed in the order of the levels, up to the first block that is not full.
+        """
         for j in itertools.count():
             level = self._levels[j]
             if level.fill < level.size:

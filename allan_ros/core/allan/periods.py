@@ -156,7 +156,7 @@ class RecordedPeriods(ByValue):
     """Periods and block means of one recording."""
 
     periods: tuple[Period, ...]
-    means: tuple[BlockMeans, ...]  # block means of the longest segments, in the order of their age
+    means: tuple[BlockMeans, ...]  # block means of the longest segments, the earliest segment first
     reference: Floats  # (axes,) first sample of the recording
 
     @property

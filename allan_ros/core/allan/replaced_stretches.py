@@ -43,9 +43,9 @@ def no_stretches(axes: int) -> Ints:
 
 
 def add_stretches(a: Ints, b: Ints) -> Ints:
-    """Return the table of the stretches in two tables, sorted by length and level.
+    """Merge two tables of stretches into one table, sorted by length and level.
 
-    All tables are (rows, 2 + axes).
+    Numbers of stretches with the same length and level are added. All tables are (rows, 2 + axes).
     """
     rows = np.concatenate([a, b])
     keys, key_of_row = np.unique(rows[:, :2], axis=0, return_inverse=True)

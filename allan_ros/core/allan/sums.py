@@ -4,9 +4,9 @@
 
 Definitions
 -----------
-The unit of time is the sample period. The phase theta is the cumulative sum of the samples minus
-the first sample of the segment. The second difference at the averaging factor m that starts at
-sample u is d(u) = theta(u + 2m) - 2 theta(u + m) + theta(u).
+The unit of time is the sample period. The first sample of the segment is subtracted from each
+sample, and the phase theta is the cumulative sum of these differences. The second difference at the
+averaging factor m that starts at sample u is d(u) = theta(u + 2m) - 2 theta(u + m) + theta(u).
 """
 
 from __future__ import annotations
@@ -313,7 +313,7 @@ def part(sums: AllanSums, first: int) -> AllanSums:
         if difference_count > count[i]:
             count[i], sum_sq[i] = difference_count, squares
     used_factors = nonzero_length(count)
-    lengths = _lengths(sums.lengths, samples)
+    lengths = _scaled_lengths(sums.lengths, samples)
     intervals = samples - sum(number for _, number in lengths)
     return replace(
         sums,
@@ -340,7 +340,10 @@ def _excerpt(recording: RecordedPeriods, tau0: float | None, first: int) -> Reco
 
 
 def _clipped(means: BlockMeans, tau0: float, begin: int) -> BlockMeans:
-    """Return the block means from the sample with the index ``begin`` of the recording on."""
+    """Return the block means of a segment without the blocks that begin before a sample.
+
+    ``begin`` is the index of this sample in the recording. ``tau0`` is the sample period in s.
+    """
     step = means.step
     first_mean = min(max(-((means.age - begin) // step), 0), len(means.values))
     return replace(
@@ -375,17 +378,17 @@ def _from_means(
     return difference_count, squares
 
 
-def _lengths(lengths: Lengths, samples: int) -> Lengths:
+def _scaled_lengths(lengths: Lengths, samples: int) -> Lengths:
     """Return the estimated length classes of a part of the data with ``samples`` samples.
 
     The lengths of the segments of a part are not stored. Each length class is assumed to have the
     same share of the samples as in the complete data, whose ``lengths`` are given.
     """
     share = samples / max(sum(total for total, _ in lengths), 1)
-    scaled = [(round(total * share), round(number * share)) for total, number in lengths]
-    kept_classes = [(total, number) for total, number in scaled if 0 < number <= total]
+    scaled = [(round(total * share), round(segments * share)) for total, segments in lengths]
+    kept_classes = [(total, segments) for total, segments in scaled if 0 < segments <= total]
     if not kept_classes:
         return ((samples, 1),) if samples else ()
-    _, number = kept_classes.pop()  # the class of the longest segments gets the remaining samples
+    _, segments = kept_classes.pop()  # the class of the longest segments gets the remaining samples
     remaining = samples - sum(total for total, _ in kept_classes)
-    return add_lengths((), (*kept_classes, (max(remaining, number), number)))
+    return add_lengths((), (*kept_classes, (max(remaining, segments), segments)))

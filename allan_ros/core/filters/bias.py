@@ -33,8 +33,8 @@ AHEAD_S = 10.0
 """Time in s over which the future bias is averaged."""
 
 STORED_MEANS = 600
-"""Number of means of an axis that are stored, so that the Kalman filter can restart from them when
-the noise model changes: 10 min."""
+"""Largest number of stored means of each axis, for 10 min at rest. When the noise model changes,
+the Kalman filter restarts from the stored means."""
 
 STEP_MEANS, STEP_SIGMA = 30, 6.0
 """A step of the bias is detected if the sum of the prediction errors of the latest means differs
@@ -226,7 +226,7 @@ class BiasTracker:
 
     @property
     def end_ns(self) -> int:
-        """Latest time in ns at which a mean of an axis with a bias ends; 0 without such an axis."""
+        """End in ns of the latest mean of the axes whose bias is known; 0 if no bias is known."""
         return max((self._means[axis][-1][0] for axis in self._filters), default=0)
 
     def _restart(self, axis: str) -> None:

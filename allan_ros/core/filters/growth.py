@@ -99,27 +99,33 @@ def growth_table(
         return tuple(
             Growth(float(horizon), window, Estimate(float(value))) for horizon, value in zip(h, std)
         )
-    low, high = (model_at_end.drift for model_at_end in end_models)
-    high = high.changed(**{term: high.value(term) or fit.limit(term) for term in 'NBKR'})
-    parts = [model_at_end.growth_variances(h, window) for model_at_end in (model, low, high)]
+    low_model, high_model = (model_at_end.drift for model_at_end in end_models)
+    high_model = high_model.changed(
+        **{term: high_model.value(term) or fit.limit(term) for term in 'NBKR'}
+    )
+    variances_of_models = [
+        any_model.growth_variances(h, window) for any_model in (model, low_model, high_model)
+    ]
     zero = np.zeros(len(h))
-    total, distance_below, distance_above, scatter = zero, zero, zero, zero
-    for process in {**parts[0], **parts[2]}:
-        estimated, lower, upper = (part.get(process, zero) for part in parts)
-        total = total + estimated
-        distance_below = np.hypot(distance_below, np.maximum(estimated - lower, 0.0))
-        distance_above = np.hypot(distance_above, np.maximum(upper - estimated, 0.0))
+    variance, distance_below, distance_above, scatter = zero, zero, zero, zero
+    for process in {**variances_of_models[0], **variances_of_models[2]}:
+        estimated, at_low_end, at_high_end = (
+            variances.get(process, zero) for variances in variances_of_models
+        )
+        variance = variance + estimated
+        distance_below = np.hypot(distance_below, np.maximum(estimated - at_low_end, 0.0))
+        distance_above = np.hypot(distance_above, np.maximum(at_high_end - estimated, 0.0))
         scatter = scatter + estimated * (
             fit.white_scatter if process.is_white else fit.drift_scatter
         )
-    lowest = np.sqrt(np.maximum(total - distance_below, 0.0))
-    highest = np.sqrt(total + distance_above)
+    low_std = np.sqrt(np.maximum(variance - distance_below, 0.0))
+    high_std = np.sqrt(variance + distance_above)
     hour_scatter = Z_95 / np.sqrt(2.0 * INDEPENDENT * HOUR / (h + window))
     with np.errstate(divide='ignore', invalid='ignore'):
-        next_hour_scatter = np.hypot(scatter / total, hour_scatter)
+        next_hour_scatter = np.hypot(scatter / variance, hour_scatter)
         log_below, log_above = (
             np.minimum(np.hypot(np.log(ratio), next_hour_scatter), LARGEST_LOG)
-            for ratio in (std / lowest, highest / std)
+            for ratio in (std / low_std, high_std / std)
         )
     return tuple(
         Growth(
@@ -127,7 +133,7 @@ def growth_table(
             window,
             Estimate(
                 float(std[i]),
-                (float(lowest[i]), float(highest[i])) if highest[i] > 0.0 else None,
+                (float(low_std[i]), float(high_std[i])) if high_std[i] > 0.0 else None,
                 predictive_ci95=(
                     float(std[i] * np.exp(-log_below[i])),
                     float(std[i] * np.exp(log_above[i])),

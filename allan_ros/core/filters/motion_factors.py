@@ -102,7 +102,9 @@ class Cause:
     @classmethod
     def from_document(cls, fields: Fields) -> Cause:
         """Return the cause from the fields of a JSON object; ``elements`` may be negative."""
-        elements = (Estimate.from_document(each, signed=True) for each in fields.each('elements'))
+        elements = (
+            Estimate.from_document(element, signed=True) for element in fields.each('elements')
+        )
         return cls(fields.text('name'), fields.number('gain'), tuple(elements))
 
 
@@ -157,8 +159,12 @@ class SensorInMotion:
     explained: Estimate | None = None
 
     @property
-    def raised(self) -> Mapping[str, Estimate]:
-        """Term ('N' or 'K') -> factor, for each term with a factor (`white`, `slow`)."""
+    def term_factors(self) -> Mapping[str, Estimate]:
+        """Term ('N' or 'K') -> factor by which the coefficient of the term differs in motion.
+
+        The factor of N is ``white``, and the factor of K is ``slow``. A term without a factor is
+        omitted.
+        """
         factors = (('N', self.white), ('K', self.slow))
         return {term: factor for term, factor in factors if factor is not None}
 
@@ -167,7 +173,8 @@ class SensorInMotion:
 class NoiseInMotion:
     """Errors of gyro and accelerometer in motion, and the causes of these errors.
 
-    ``motion['gyro']`` and ``motion['accel']`` are the factors of the gyro and of the accelerometer.
+    ``motion['gyro']`` is ``motion.gyro.factor``, and ``motion['accel']`` is
+    ``motion.accel.factor``.
 
     Attributes
     ----------
@@ -296,7 +303,7 @@ def noise_in_motion(
             Cause(name, gains[name], _elements(data, fit_with_causes, name))
             for name in fit_with_causes.causes
         ),
-        drives=tuple(DriveRatio(each.duration, each.turned, *ratio) for each, ratio in ratios),
+        drives=tuple(DriveRatio(drive.duration, drive.turned, *ratio) for drive, ratio in ratios),
     )
 
 
@@ -306,7 +313,8 @@ def _with_causes(
     """Return the fit with all causes, and a dict: cause -> increase of 2 log L by this cause.
 
     The causes are added one by one, as long as the next cause increases 2 log L by at least
-    `GAIN_CAUSE`. The dict also contains a rotation that a matrix has replaced.
+    `GAIN_CAUSE`. If the cause 'gyro_matrix' or 'accel_matrix' has replaced the cause 'rotation',
+    which it includes, the dict still contains the increase by 'rotation'.
     """
     best, gains = fit_without_causes, {}
     while names := [name for name in CAUSES if name not in best.causes]:
@@ -391,7 +399,13 @@ def _quantile(drives: int, share: float = 0.975) -> float:
 
 
 def _part(data: DriveLikelihood, fit: DriveFit, sensor: str) -> tuple[NoisePart, DriveFit]:
-    """Return which noise of a sensor gets a factor, white noise or drift or both, and the fit."""
+    """Return the noise of a sensor that a factor multiplies, and the fit with this factor.
+
+    ``fit`` has a common factor for white noise and measured drift. If no drift of the sensor was
+    measured, the result is 'white' and ``fit``. Otherwise, the result is 'white' or 'slow', and the
+    fit with a factor for this noise alone, if this fit is better (`GAIN_PART`). In all other cases,
+    the result is 'all' and ``fit``.
+    """
     if f'{sensor}_slow' not in data.noise:
         return 'white', fit
     trials: dict[NoisePart, DriveFit] = {}

@@ -134,9 +134,10 @@ class Reduction(NamedTuple):
 
     @property
     def poor(self) -> bool:
-        """Whether the errors that both models predict differ by more than a factor of 2.
+        """Whether the reduced-order and the complete model disagree by more than a factor of 2.
 
-        The horizon with the largest difference counts.
+        The errors that the two models predict are compared at several horizons, and the largest
+        difference counts.
         """
         return self.ratio[1] > POOR_RATIO or self.ratio[0] < 1.0 / POOR_RATIO
 

@@ -74,7 +74,7 @@ class StateSpace:
 
     @property
     def _blocks(self) -> list[tuple[float, Process, slice]]:
-        """Coefficient, process and state indices for the random walk and each other process."""
+        """For the random walk and each other process: coefficient, process, slice of its states."""
         blocks, first = [], 1
         for value, process in ((self.walk, BY_LETTER['K']), *self.processes):
             size = len(_states(process).output)
@@ -122,9 +122,9 @@ class StateSpace:
     def initial_covariance(self, walk: float, slope: float = 0.0) -> Floats:
         """Return the initial covariance of the states, (size, size).
 
-        ``walk`` and ``slope`` are the prior standard deviations of the states of the random walk
-        and of its slope. The other processes have their stationary covariance, and the integral
-        starts from 0.
+        ``walk`` and ``slope`` are the prior standard deviations of the random walk and of its
+        slope. The other processes have their stationary covariance. The integral of the samples is
+        known to be 0 at the start.
         """
         p = np.zeros((self.size, self.size))
         for value, process, rows in self._blocks:

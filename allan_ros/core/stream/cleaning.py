@@ -120,7 +120,7 @@ class StampChoice:
         return [finding('stamps_missing', what=fault)]
 
     def of(self, batch: ImuBatch) -> ImuBatch:
-        """Return the next samples with the chosen stamps."""
+        """Return ``batch``, the next samples, with the stamps that `learn` has chosen."""
         stamps = batch.stamps_ns
         if self.use_record and batch.record_ns is not None:
             stamps = batch.record_ns
@@ -144,14 +144,14 @@ class StampSorter:
     """
 
     def __init__(self, stamps: Stamps = np.empty(0, np.int64)) -> None:
-        """Compute the longest delay for which a sample is sorted.
+        """Compute the longest delay of a late sample that is sorted into its place.
 
         ``stamps``, (n,), are the first stamps in ns. With fewer than two, no sample is sorted.
         """
         self.sorted = 0
         places = min(len(stamps) - 1, REORDER)
         sorted_stamps = np.sort(stamps)
-        # longest delay, in ns, for which a sample is sorted
+        # longest delay, in ns, of a late sample that is sorted into its place
         self._longest_ns = (
             np.median(sorted_stamps[places:] - sorted_stamps[:-places]) if places > 0 else 0.0
         )

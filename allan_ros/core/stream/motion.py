@@ -175,8 +175,8 @@ class MotionGate:
         """Axis -> largest ratio of its noise at rest to the noise floor.
 
         The ratios of all axes are computed when the noise of any axis has increased. Only ratios
-        above 1 are included. The ratios are reset when the increased noise counts as normal, or
-        when the noise before turns out not to be noise at rest.
+        above 1 are included. The ratios are reset when changed noise counts as normal, or when the
+        present noise level is discarded because it was not noise at rest.
         """
         return self._named(self._levels.largest_ratio)
 
@@ -291,21 +291,21 @@ class MotionGate:
         """
         position = 0
         while position < end:
-            number_ready = (end - position) // size
-            number = min(number_ready, CHECKED_WINDOWS - self._number % CHECKED_WINDOWS)
-            number_together = min(number_ready, BLOCK_WINDOWS - self._number)
+            ready_window_count = (end - position) // size
+            window_count = min(ready_window_count, CHECKED_WINDOWS - self._number % CHECKED_WINDOWS)
+            joint_window_count = min(ready_window_count, BLOCK_WINDOWS - self._number)
             is_unchanged = (
-                number_together > number
+                joint_window_count > window_count
                 and self._is_settled
-                and self._pass(buffered, position, number_together, size, only_at_rest=True)
+                and self._pass(buffered, position, joint_window_count, size, only_at_rest=True)
             )
             if is_unchanged:
-                number = number_together
+                window_count = joint_window_count
             else:
-                self._pass(buffered, position, number, size)
-            position += number * size
+                self._pass(buffered, position, window_count, size)
+            position += window_count * size
             if size == self.size:
-                self._number += number
+                self._number += window_count
                 if self._number % CHECKED_WINDOWS == 0:
                     self._check(is_unchanged)
 
@@ -342,10 +342,10 @@ class MotionGate:
         return True
 
     def _clipping_changes(self, rows: Floats) -> bool:
-        """Return whether the clipped axes change in the next samples, (axes, n).
+        """Return whether the set of clipped axes changes in ``rows``, the next samples.
 
-        The samples since the last check are prepended to the next samples. Each complete group of
-        `CHECKED_WINDOWS` windows is compared with the noise floor.
+        ``rows`` is (axes, n). The samples since the last check are prepended to the next samples.
+        Each complete group of `CHECKED_WINDOWS` windows is compared with the noise floor.
         """
         recent = self._recent.last(self._number % CHECKED_WINDOWS)
         rows = np.concatenate([recent.rows, rows], axis=1) if len(recent) else rows

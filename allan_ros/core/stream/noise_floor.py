@@ -272,11 +272,14 @@ class NoiseFloor:
 
     @cached_property
     def limits(self) -> RestLimits:
-        """The limits of windows of ``size`` samples."""
+        """Limits for the statistics of a window with the ``size`` of this noise floor."""
         return self.limits_of(self.size)
 
     def limits_of(self, size: int) -> RestLimits:
-        """Return the limits of windows of ``size`` samples, also of a short window before a gap."""
+        """Return the limits for the statistics of a window of ``size`` samples at rest.
+
+        A window before a gap may have fewer samples than the other windows.
+        """
         # added to the limits: infinite for an axis without noise
         allowance = np.where(self.scale > 0.0, 0.0, np.inf)
         # the variance of few samples is uncertain, so short windows are classified only by their
@@ -543,13 +546,17 @@ class NoiseFloor:
 
 
 @lru_cache
-def _complete_sensors(gyro: tuple[bool, ...]) -> list[slice]:
+def _complete_sensors(are_gyro_axes: tuple[bool, ...]) -> list[slice]:
     """Return one slice of axis indices for each sensor that has all of its three axes.
 
-    ``gyro`` flags the axes of the gyro.
+    ``are_gyro_axes`` flags the axes of the gyro.
     """
-    first_axes = [i for i, is_gyro in enumerate(gyro) if not i or is_gyro != gyro[i - 1]]
-    return [slice(i, i + 3) for i in first_axes if gyro.count(gyro[i]) == 3]
+    first_axes = [
+        i
+        for i, is_gyro_axis in enumerate(are_gyro_axes)
+        if not i or is_gyro_axis != are_gyro_axes[i - 1]
+    ]
+    return [slice(i, i + 3) for i in first_axes if are_gyro_axes.count(are_gyro_axes[i]) == 3]
 
 
 def _quantile(values: Floats, share: float) -> Floats:

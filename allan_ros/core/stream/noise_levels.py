@@ -144,7 +144,8 @@ class NoiseLevels:
         self.largest_ratio, self.smallest_ratio = np.ones(axes), np.ones(axes)
         self._began_ns = 0  # stamp at which the noise changed to the level on trial
 
-        # field of `Counts` for the samples of the other level, unless this level is `published`
+        # field of `Counts` for the samples of the other level, while the present level is the
+        # `published` level
         self._other_is: ExcludedAs = 'moving'
         self._dropped = Counts()  # counts of the levels that were discarded
         # number of discarded levels that were `published` until a later level replaced them
@@ -152,7 +153,7 @@ class NoiseLevels:
 
         # first stamp of the first level with samples; None until this level has ended
         self._first_ns: int | None = None
-        # last stamp of the level that was last counted in `_drops`
+        # last stamp of the level that `_drops` counted most recently
         self._last_ns = 0
 
     @property

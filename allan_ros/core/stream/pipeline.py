@@ -186,7 +186,7 @@ class ImuStream:
         ``sums`` are the sums of an earlier `result`. Unless the state is 'waiting' or 'learning',
         samples that are not classified yet are counted neither as used nor as excluded.
         """
-        present = self._present.present
+        present = self._present.present_state
         if present.state not in ('waiting', 'learning'):
             return self._health(present, sums)
         # while the noise floor is learned, the latest samples are buffered, and not classified yet
@@ -204,7 +204,7 @@ class ImuStream:
 
         While the noise floor is learned, only ``ended`` shows whether the first samples are moving.
         """
-        present, at_end = self._present.present, ended._present.present
+        present, at_end = self._present.present_state, ended._present.present_state
         is_first = present.state in ('waiting', 'learning')
         return at_end if is_first and at_end.state == 'moving' else present
 
@@ -239,9 +239,9 @@ class ImuStream:
         return tuple(entries)
 
     def _health(
-        self, present: Present, longest: tuple[AllanSums, ...]
+        self, present: Present, sums: tuple[AllanSums, ...]
     ) -> tuple[StreamHealth, tuple[Finding, ...]]:
-        """Return the health and the findings; ``longest`` are the sums that are reported."""
+        """Return the health and findings of the stream; ``sums`` are the reported Allan sums."""
         frame = self._present
         counts = Counts(received=self._received)
         for frame_counts in (self._dropped, *(frame.counts for frame in self._frames.values())):
@@ -258,7 +258,7 @@ class ImuStream:
             first_ns=frame.first_ns,
             stamps='record' if frame.stamps.use_record else 'header',
             frame_id=frame.identity.frame_id,
-            sums_frame_id=longest[0].identity.frame_id if longest else frame.identity.frame_id,
+            sums_frame_id=sums[0].identity.frame_id if sums else frame.identity.frame_id,
             frame_changes=self._frame_changes,
             discarded=sum(stream.lost for stream in streams),
             largest_increase=_united(gate.increases for gate in gates),
@@ -282,7 +282,7 @@ class ImuStream:
         # when the clipped share of all samples is known, it replaces the share of the first samples
         if any(sensor.is_examined or sensor.lost for sensor in frame.sensors):
             notes = [note for note in notes if note.id != 'clipped']
-        findings = [*notes, *stream_findings(health, longest, self._settings)]
+        findings = [*notes, *stream_findings(health, sums, self._settings)]
         return health, tuple(dict.fromkeys(findings))
 
 
@@ -348,7 +348,7 @@ class FrameStream:
         return sum(map(len, self._buffer))
 
     @property
-    def present(self) -> Present:
+    def present_state(self) -> Present:
         """State, known faults and noise of the samples that were classified last."""
         gates = [sensor.gate for sensor in self.sensors if sensor.gate is not None]
         return Present(
@@ -445,7 +445,7 @@ class FrameStream:
         self._buffer = []
 
     def _start_again(self, samples: ImuBatch) -> None:
-        """End the present sensor streams, and learn new sensor streams from ``samples`` on."""
+        """End the present sensor streams, and learn new ones, beginning with ``samples``."""
         self._feed(self._sorter.flush())
         for sensor in self.sensors:
             sensor.flush()

@@ -253,8 +253,8 @@ class SignalSummary:
 
     # (bins, 6) root mean square of the differences of successive samples / sqrt(2), in SI
     noise: Floats
-    # (bins,) whether no sample of the bin is excluded or replaced; True in a recording without used
-    # samples
+    # (bins,) False for a bin that overlaps an excluded period or a shock. In a recording without
+    # used samples, no period counts as excluded.
     used: Flags
     # (6,) median over the bins of (low + high) / 2, in SI; NaN for an axis without data
     middle: Floats
@@ -306,7 +306,7 @@ def summarize_signal(
     parts: list[SignalSummary] = []
     offset = 0.0
     for signal, trace in recordings:
-        # a short recording gets two groups of bins, because one group has no length
+        # at least two groups of bins: the length of a group is computed from the starts of two
         part, length = _recording(
             signal, trace, segments, min(step, signal.bins // 2), events, offset
         )

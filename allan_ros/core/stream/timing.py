@@ -42,14 +42,15 @@ LOOK_AHEAD = 64
 be larger if stamps are bursty (`BURST_LOOK_AHEAD`)."""
 
 BURST_LOOK_AHEAD_S, BURST_LOOK_AHEAD = 4.0, 1 << 18
-"""If stamps are bursty, the largest number of samples on each side of a pause over which delays are
-compared is the number in `BURST_LOOK_AHEAD_S` seconds, but at least `LOOK_AHEAD` and at most
-`BURST_LOOK_AHEAD`, which is reached at 65 kHz."""
+"""If stamps are bursty, delays are compared over up to `BURST_LOOK_AHEAD_S` seconds on each side of
+a pause. At low rates, this time is extended to `LOOK_AHEAD` samples. Above 65 kHz, it is limited to
+`BURST_LOOK_AHEAD` samples."""
 
 BURST_PAUSE_S = 0.25
-"""If stamps are bursty, samples count as lost only in a pause of more than this time in s that
-increases the smallest delay by more than this time. Smaller increases occur without a loss, because
-the smallest delay of bursty stamps varies by several sample periods."""
+"""If stamps are bursty, samples count as lost only in a pause of more than this time in s. The
+smallest delay after the pause must also exceed the smallest delay before the pause by more than
+this time. Smaller increases occur without a loss, because the smallest delay of bursty stamps
+varies by several sample periods."""
 
 LATE = 1.5
 """Unless stamps are bursty, a step longer than this many periods is a pause."""
@@ -133,9 +134,9 @@ class Clock:
 
     @property
     def smallest_loss(self) -> float:
-        """Limit of the increase of the smallest delay in a pause, in periods.
+        """Increase of the smallest delay, in periods, up to which no sample counts as lost.
 
-        A larger increase indicates that samples were lost.
+        The smallest delay before a pause is compared with the smallest delay after the pause.
         """
         return max(0.5, BURST_PAUSE_S * 1e9 / self.period_ns) if self.bursty else 0.5
 

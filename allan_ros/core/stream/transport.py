@@ -128,7 +128,8 @@ class Arrivals:
             self._origin_ns = int(stamps_ns[0])
         stamps = (stamps_ns - self._origin_ns) / NANOSECONDS
         latest = 0.0 if self._latest is None else self._latest[0]
-        # a step from the former stamp, or from the largest stamp so far, begins a new part
+        # a new part begins at a stamp that differs by more than `STEP_S` from the former stamp, or
+        # from the largest stamp so far
         former = np.append(latest, stamps[:-1])
         largest_step = np.maximum(
             np.abs(stamps - former), np.abs(stamps - np.maximum.accumulate(former))
@@ -298,7 +299,8 @@ class TransportMonitor:
         self.set_received(time_s, transport.received)
         usable = c.received - c.not_finite - c.duplicate - c.backward - c.untimed
         if health.rate_hz is None and c.received > 2 * LEARN:
-            usable = self._usable  # without a rate, the values or the stamps are not usable
+            # the rate is still unknown, so the values or the stamps of the samples are not usable
+            usable = self._usable
         has_progress = usable != self._usable
         if has_progress:
             self._last_usable, self._usable = time_s, usable
