@@ -290,7 +290,7 @@ def check_same_imu(a: Sequence[AllanSums], b: Sequence[AllanSums]) -> None:
 
 
 def part(sums: AllanSums, first: int) -> AllanSums:
-    """Return the sums over the later periods of each recording, from the index ``first`` on.
+    """Return the sums over the later periods of each recording, beginning at the index ``first``.
 
     A negative ``first`` counts from the last period. Block means outside of these periods are
     removed, and the result has no non-overlapping differences.

@@ -86,7 +86,8 @@ Sizes = tuple[Size, ...]
 
 LOWEST_BLOCKS = 2
 """Least length of the longest segment, in spectral blocks of the lowest octave. With this length,
-at least three overlapping blocks are averaged. Octave 0 is used from one block on."""
+at least three overlapping blocks are averaged. Octave 0 is used if it has at least one
+block."""
 
 LEAST_POINTS = 4
 """Fewest block means of a segment from which contrasts are formed."""

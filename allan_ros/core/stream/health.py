@@ -62,7 +62,7 @@ USUAL_N = 3e-4
 nearest to this value is the most probable unit."""
 
 UNIT_ERROR, LARGEST_ACCEL_RATIO = 0.2, 3.0
-"""Limits for the ratio of the noise now to the noise before, by which a changed unit of the gyro is
+"""Limits for the ratio of the present to the earlier noise, by which a changed unit of the gyro is
 recognized: largest relative difference between the ratio of the gyro and the conversion factor of
 the other unit, and largest ratio of the accelerometer."""
 
@@ -379,7 +379,7 @@ def _times(events: list[Event], health: StreamHealth) -> str:
 def changed_gyro_unit(gyro: Floats, accel: Floats = NO_AXES) -> str:
     """Return the unit to which a gyro changed from rad/s, or '' if it did not change.
 
-    ``gyro`` and ``accel``, (axes,), are the ratios of the noise now to the noise before. The unit
+    ``gyro`` and ``accel``, (axes,), are the ratios of the present to the earlier noise. The unit
     changed if the ratios of all three axes of the gyro agree with the factor of a unit
     (`UNIT_ERROR`), and no ratio of the accelerometer exceeds `LARGEST_ACCEL_RATIO`. The result is
     '' for fewer than three axes of the gyro.

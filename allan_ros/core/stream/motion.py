@@ -58,7 +58,7 @@ further block. Another noise level begins if the noise is increased in all windo
 block is buffered: 0.15 MB for six axes at 200 Hz, 15 MB at 20 kHz."""
 
 MOST_WINDOW = 1 << 15
-"""Largest number of samples in a window, which is reached at 65 kHz: 50 MB are then buffered."""
+"""Largest number of samples in a window. It is reached at 65 kHz; 50 MB are then buffered."""
 
 CHECKED_WINDOWS = BLOCK_WINDOWS // 4
 """Number of windows between two checks. A check decides whether the present noise level continues,
@@ -72,7 +72,7 @@ unless it exceeds the noise floor by more than `SHAKEN_RATIO` on at least `MOVIN
 
 FAULTY_S = 600.0
 """Time in s for which decreased noise is regarded as a fault, even if the decreased noise has
-lasted longer than the noise before."""
+lasted longer than the earlier noise."""
 
 LEAST_FAULTY = 4
 """Number of latest windows that are searched for known faults if none of them is at rest."""
@@ -361,7 +361,7 @@ class MotionGate:
         ``is_unchanged`` tells whether the present level is known to fit best.
 
         Changed noise may be the noise of the IMU from now on, or be due to a fault. It is regarded
-        as normal when it has lasted longer than the noise before, and, if the noise decreased, for
+        as normal when it has lasted longer than the earlier noise, and, if the noise decreased, for
         at least `FAULTY_S`.
         """
         levels = self._levels
@@ -426,7 +426,7 @@ class MotionGate:
     def _decreases_to(self, learned: NoiseFloor, recent: RecentWindows) -> bool:
         """Begin another level if the noise decreased for no known reason; return whether it began.
 
-        ``learned`` is the noise floor of the latest windows. If the noise before was due to a
+        ``learned`` is the noise floor of the latest windows. If the earlier noise was due to a
         motion, the present level is discarded.
         """
         floor = self._rest.floor

@@ -292,7 +292,8 @@ def summarize_signal(
     """Return the summary of all recordings, whose bins are joined to about ``bins`` bins in total.
 
     If the recordings have fewer bins, no bins are joined. Each recording keeps at least two bins,
-    and recordings with fewer than two bins are omitted. Returns None if no recording is left.
+    and recordings with fewer than two bins are omitted. Returns None if all recordings are
+    omitted.
 
     ``signals`` are the signals of the recordings. ``temperatures`` contains the temperature or None
     for each recording. ``segments`` are the used parts of all recordings. ``events`` are the shocks

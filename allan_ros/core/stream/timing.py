@@ -382,11 +382,11 @@ class SampleClock:
         """
         begin, steps = self._processed, [np.empty(0, np.int64)]
         while self.clock is not None and not self.rate_changed:
-            number_ready = len(self._samples) - self._processed - look_ahead
+            ready_count = len(self._samples) - self._processed - look_ahead
             if look_ahead:
-                number_ready -= number_ready % CLOCK_BLOCK
-            number_to_update = (TRACK_BLOCKS - self._blocks % TRACK_BLOCKS) * CLOCK_BLOCK
-            number = min(number_ready, number_to_update)
+                ready_count -= ready_count % CLOCK_BLOCK
+            count_to_update = (TRACK_BLOCKS - self._blocks % TRACK_BLOCKS) * CLOCK_BLOCK
+            number = min(ready_count, count_to_update)
             if number < 1:
                 break
             steps.append(self._process(number, self.clock))
