@@ -152,7 +152,7 @@ class Estimate:
 
     @property
     def magnitude(self) -> Estimate:
-        """The estimate, multiplied by -1 if its value is negative."""
+        """The estimate of the magnitude: a negative estimate is multiplied by -1."""
         return self.times(-1.0) if (self.value or 0.0) < 0.0 else self
 
     def times(self, factor: float) -> Estimate:
@@ -205,8 +205,8 @@ class Estimate:
     def document(self) -> dict[str, Any]:
         """Return the estimate as a JSON object, without name, unit and axis.
 
-        Unknown numbers are None. ``ci95`` is the interval that is shown. ``recording_ci95`` is a
-        key only if the predictive interval is known.
+        Unknown numbers are None. ``ci95`` is the interval that is shown. If this is the predictive
+        interval, the object also contains ``recording_ci95``, the interval for this recording.
         """
         numbers: dict[str, Any] = {'value': self.value, 'ci95': self.ci95}
         if self.predictive_ci95 is not None:

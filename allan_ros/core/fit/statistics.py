@@ -118,7 +118,8 @@ def _kernels() -> tuple[Floats, Floats]:
     """Return the matrices, (bins, lags), that turn autocovariances into the expected power.
 
     The autocovariances are gamma(M, j) (`Process.gamma`) at the lags j = 0, 1, ... The first matrix
-    is for all octaves of samples together, the second for one octave of means.
+    is for the bins of all octaves that are computed from samples. The second matrix is for the bins
+    of one octave that is computed from block means.
     """
 
     def kernel(octave_index: int) -> Floats:

@@ -134,7 +134,7 @@ class Process:
     """Letter of the coefficient if IEEE Std 952-1997 defines this coefficient; else ''."""
 
     coefficient: ClassVar[str] = 'sigma'
-    """Name of the coefficient of a process without a letter."""
+    """Name of the coefficient of a process whose `letter` is ''."""
 
     time_power: ClassVar[float] = 0.0
     """The SI unit of the coefficient is the unit of the samples times s to this power.
