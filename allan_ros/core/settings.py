@@ -114,7 +114,7 @@ def check_names(given: Iterable[str], known: Sequence[str]) -> None:
     """
     for name in given:
         if name not in known:
-            similar_names = difflib.get_close_matches(name, known, 1)
+            similar_names = difflib.get_close_matches(str(name), known, 1)
             advice = similar_names[0] if similar_names else ', '.join(known)
             raise AllanError(f'option {name!r} is unknown: use {advice}')
 

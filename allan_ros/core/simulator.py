@@ -92,9 +92,9 @@ AddedProcesses = make_dataclass(
 class Faults(AddedProcesses):  # type: ignore[misc, valid-type]
     """Imperfections of a simulated IMU and of its recording; none by default.
 
-    In addition to the fields below, there are options for every noise process that a fit searches
-    for, except a sinusoid (see the options of the vibration). Examples are ``gauss_markov_gyro``,
-    ``gauss_markov_accel`` and ``gauss_markov_time``.
+    In addition to the fields below, there are options for every noise process that a fit can add to
+    the terms, except a sinusoid (see the options of the vibration). Examples are
+    ``gauss_markov_gyro``, ``gauss_markov_accel`` and ``gauss_markov_time``.
 
     Raises
     ------

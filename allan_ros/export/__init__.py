@@ -75,7 +75,7 @@ def target_rows(
     options: ExportOptions = ExportOptions(),
     bias: Mapping[str, float] = {},
 ) -> tuple[Row, ...]:
-    """Return the rows of an export target whose number is measured and has a unit.
+    """Return the rows of an export target that contain a measured number with a unit (`Row.unit`).
 
     The rows are used to set parameters of a running state estimator. ``results``, ``name`` and
     ``options`` are the same as in `make_export`. ``bias`` is axis -> bias at rest in SI. The gain

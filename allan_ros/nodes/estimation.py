@@ -263,9 +263,10 @@ class ImuEstimate(NodePart):
         return any(map(is_changed, sums))
 
     def _are_new(self, drives: Drives) -> bool:
-        """Return whether the drives differ from the drives of the present factors in motion.
+        """Return whether the drives differ from the drives of the latest computation of factors.
 
-        Fewer than `LEAST_DRIVES` drives do not count as new.
+        The start times of the drives are compared. Fewer than `LEAST_DRIVES` drives do not count as
+        new.
         """
         starts, former_starts = (
             [drive.start for drive in errors] for errors in (drives.errors, self._driven)

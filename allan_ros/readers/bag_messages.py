@@ -103,7 +103,10 @@ def among(numbers: NDArray[Any], ids: Collection[int]) -> NDArray[np.bool_]:
 
 
 def normal_type(name: str) -> str:
-    """Return a message type in ROS 2 notation: ``sensor_msgs/msg/Imu`` for ``sensor_msgs/Imu``."""
+    """Return the ROS 2 name of a message type: ``sensor_msgs/msg/Imu`` for ``sensor_msgs/Imu``.
+
+    A name without exactly one slash is returned unchanged.
+    """
     package, *rest = name.split('/')
     return f'{package}/msg/{rest[0]}' if len(rest) == 1 else name
 

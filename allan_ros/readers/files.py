@@ -249,7 +249,10 @@ def parse_json(text: str, where: str) -> object:
 
 
 def read_json(path: str | os.PathLike[str]) -> object:
-    """Read a JSON file; raise AllanError if it cannot be read, is too large or is invalid."""
+    """Read a JSON file that contains an object or a list.
+
+    Raises AllanError if the file cannot be read, is too large or is invalid.
+    """
     with contextlib.suppress(OSError), open_regular(path) as file:
         if (head := file.read(64).lstrip()) and head[:1] not in b'{[':
             raise AllanError(

@@ -89,9 +89,11 @@ class Checkpoint:
 
     @property
     def covered(self) -> tuple[tuple[int, int], ...]:
-        """The first and the latest stamp, in ns, of the samples of earlier runs: one pair.
+        """The time that the samples of earlier runs cover: one pair of stamps in ns.
 
-        The result is an empty tuple if no samples of earlier runs are known.
+        The pair consists of the first stamp in the Allan sums and the latest received stamp. If the
+        latest received stamp is unknown, the end of the latest listed segment is used. The result
+        is an empty tuple if the sums contain no samples, or if no end is known.
         """
         sums, provenance = self.earlier
         starts_ns = [p.begin_ns for s in sums for r in s.recordings for p in r.periods]

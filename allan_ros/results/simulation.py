@@ -181,7 +181,7 @@ def write_truth(
     recording : path
         Path of the recording.
     noise : mapping of axis to Model
-        True noise of each axis in SI.
+        True noise of each axis in SI. Only the terms Q, N, B, K and R are written.
     seconds, rate : float
         Duration in s, and sample rate in Hz.
     seed : int

@@ -266,10 +266,11 @@ def _datasheet_sentence(label: str, results: Results) -> str:
 def sentences(comparison: RunComparison) -> Iterator[str]:
     """Yield the results of a comparison as sentences.
 
-    The first sentences name recordings whose coefficients do not describe the sensor, for example
-    because it moved. Then one sentence for each further recording compares it with the first
-    recording. If ``comparison.within`` is set, further sentences state the results of the tests of
-    equivalence with the first recording. The last sentences compare the recordings with datasheets.
+    The first sentences name recordings with a wrong or changed unit of measurement, and recordings
+    that do not show the noise of the sensor at rest, for example because it moved. Then one
+    sentence for each further recording compares it with the first recording. If
+    ``comparison.within`` is set, further sentences state the results of the tests of equivalence
+    with the first recording. The last sentences compare the recordings with datasheets.
     """
     for label, results in comparison.runs.items():
         for finding in grouped(results.findings):

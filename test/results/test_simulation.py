@@ -72,3 +72,10 @@ def test_a_truth_file_with_an_impossible_rate_or_duration_is_rejected(tmp_path, 
     path.write_text(json.dumps({**json.loads(path.read_text()), key: value}))
     with pytest.raises(AllanError, match=key):
         results_of_truth(path)
+
+
+def test_a_fault_whose_name_is_no_text_is_rejected(tmp_path):
+    path = tmp_path / 'noise.truth.json'
+    path.write_text('{schema: allan_ros/truth/1, seconds: 3, rate_hz: 3, faults: {1: 2}}')
+    with pytest.raises(AllanError, match='option 1 is unknown'):
+        results_of_truth(path)

@@ -184,7 +184,8 @@ def aligned(sensors: Sequence[Samples]) -> list[Samples]:
 
     For each stamp of the first sensor, the sample of each other sensor with the nearest stamp is
     used. A stamp is excluded if the nearest stamp of some sensor is more than one sample period
-    away. The values of each part are in SI, (sensors, n).
+    away; the sample period is the median of the first sensor. Each sensor has at least two samples.
+    The values of each part are in SI, (sensors, n).
 
     Raises
     ------

@@ -192,7 +192,7 @@ class AllanSums(ByValue):
         return 2.0 * self.segment_count / self.intervals if self.intervals else 0.0
 
     def __deepcopy__(self, memo: object) -> AllanSums:
-        """Return the object itself, because it is immutable."""
+        """Return the object itself, because Allan sums are not changed after their creation."""
         return self
 
     def __add__(self, other: AllanSums) -> AllanSums:

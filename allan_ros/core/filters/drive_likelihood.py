@@ -190,7 +190,11 @@ class DriveLikelihood:
 
     @classmethod
     def of(cls, drives: Sequence[DriveErrors], noise: Sequence[NoiseAtRest]) -> DriveLikelihood:
-        """Return the likelihood of drive errors; ``noise`` is the noise of each axis at rest."""
+        """Return the likelihood of the errors of drives, of which there is at least one.
+
+        The drives are in the order of time. ``noise`` is the noise at rest of the six axes, in the
+        order of `AXES`.
+        """
         white_covariances = [
             each.white_covariances([axis.white for axis in noise]) for each in drives
         ]

@@ -175,9 +175,9 @@ def _ramp(ramp: RampEstimate | None) -> Estimate:
 def _ramp_of_model(ramp: RampEstimate | None, resolved: bool) -> float:
     """Return the ramp of the model in SI.
 
-    The random terms alone cause a ramp whose variance is ``ramp.error``^2. If the ramp is not
-    resolved, this variance is subtracted from the square of the ramp, so that drift is not counted
-    twice.
+    The random processes of the fit alone cause a ramp whose variance is ``ramp.error``^2. If the
+    ramp is not resolved, this variance is subtracted from the square of the ramp, so that drift is
+    not counted twice. The result is 0 if the square is smaller, or if ``ramp`` is None.
     """
     if ramp is None:
         return 0.0

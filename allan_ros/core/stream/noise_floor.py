@@ -250,7 +250,10 @@ class NoiseFloor:
 
     @property
     def rate_limit(self) -> Floats:
-        """Largest change of a mean rate at rest, (axes,), in rad/s; infinite for accelerometers."""
+        """Least limit of the change of a mean rate at rest, (axes,), in rad/s.
+
+        Noise can raise the limit. It is infinite for accelerometers.
+        """
         return np.where(self.gyro, self.settings.rate_limit, np.inf)
 
     def changed_unit(self, ratio: Floats) -> str:
@@ -392,7 +395,8 @@ class NoiseFloor:
     def distance(self, windows: Windows) -> float:
         """Return the mean of abs(log(median variance of the windows / `scale`)) over the axes.
 
-        Axes for which this number is not finite are ignored. The mean of no axes is 0.
+        Axes for which this number is not finite are ignored. The mean of no axes is 0. There must
+        be at least one window.
         """
         with np.errstate(invalid='ignore', divide='ignore'):
             log_ratio = np.log(_quantile(windows.variance, 0.5) / self.scale)
