@@ -20,7 +20,7 @@ from ..core.imu import sensor_of
 from ..core.settings import SegmenterSettings, check_rate
 from ..export import target_of
 from ..readers import FORMATS, SUFFIXES, ReadOptions
-from ..readers.recording import BAG_SUFFIXES, METADATA
+from ..readers.recording import BAG_SUFFIXES, METADATA, listed
 from ..readers.recording_sums import (
     ReadJob,
     RecordingSums,
@@ -36,7 +36,7 @@ from ..view.batch_files import SUMMARY
 from ..view.finding_text import finding_line
 from ..view.result_document import result_document
 from ..view.verdict_text import verdict_of
-from .batch import run_batch, run_check, unread_units
+from .batch import MOST_NAMED, run_batch, run_check, unread_units
 from .cluster import on_cluster
 from .console import EXIT_ERROR, Console, colored, width
 from .options import Command, Option, Settings, settings_of
@@ -126,16 +126,30 @@ def recordings_in(path: str, files_are_units: bool = False) -> list[str]:
     recording, the paths of these folders are returned. A folder that is itself the result of an
     analysis, or contains nothing to read, is returned as it is, too. The paths are sorted, with the
     folders of bags before the files.
+
+    Raises AllanError if a folder is the result of an analysis, and also contains recordings or
+    folders of other analyses: only some of them would be read.
     """
     folder = Path(path)
-    if not folder.is_dir() or (folder / METADATA).exists() or is_document(folder):
+    if not folder.is_dir():
         return [path]
     children = sorted(folder.iterdir())
     files = [child for child in children if child.suffix.lower() in SUFFIXES and child.is_file()]
     files = [file for file in files if file.name != SUMMARY]
     bags = [child for child in children if _contains_a_bag(child)]
+    analyses = [child for child in children if (child / RESULTS).is_file()]
+    metadata = [child for child in children if child.name == METADATA]
+    if is_document(folder):
+        if others := [*bags, *files, *metadata, *analyses]:
+            names = listed([child.name for child in others], MOST_NAMED)
+            raise AllanError(
+                f'{path}: has the results of an analysis and also {names}: move the results to '
+                'another folder, or give the recordings instead of this folder'
+            )
+        return [path]
+    if metadata:
+        return [path]
     if _is_one_bag(files, files_are_units) and not bags:
-        analyses = [child for child in children if (child / RESULTS).is_file()]
         return [str(each) for each in analyses] if analyses and not files else [path]
     return [str(each) for each in (*bags, *files)]
 

@@ -52,6 +52,26 @@ def test_a_folder_is_one_recording_or_a_batch(tmp_path: Path) -> None:
     assert len(recordings_in(named)) == 2
     bags = folder('bags', 'one/metadata.yaml', 'two/metadata.yaml')
     assert [Path(p).name for p in recordings_in(bags)] == ['one', 'two']
+    results = folder('results', 'results.json', 'report.html', 'plots/a.png')
+    assert recordings_in(results) == [results]
+
+
+@pytest.mark.parametrize(
+    'others',
+    [['u1.npz', 'u3.npz'], ['u1/results.json'], ['u1/u1.mcap'], ['a.mcap.zstd', 'metadata.yaml']],
+)
+@pytest.mark.parametrize('document', ['results.json', 'sums.json'])
+def test_results_never_hide_the_recordings_in_their_folder(
+    tmp_path: Path, others: list[str], document: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for file in (document, *others):
+        (tmp_path / file).parent.mkdir(exist_ok=True)
+        (tmp_path / file).touch()
+    for verb in ('analyze', 'check'):
+        assert main([verb, str(tmp_path)]) == 1
+        error = capsys.readouterr().err
+        assert error.startswith(f'allan {verb}: {tmp_path}: has the results of an analysis and also')
+        assert others[-1].split('/')[0] in error and error.count('\n') == 1
 
 
 @pytest.fixture(scope='module')
