@@ -251,7 +251,7 @@ def analyze(
     hardware_id : str
         Serial number of the IMU in recordings and samples. Results and earlier analyses in
         ``source`` keep their own serial number. Results with a common axis can be added only if
-        their serial numbers and frame_ids are equal.
+        their serial numbers are equal, and their frame_ids if both are known.
     processes : int
         Largest number of recordings that are read at the same time, each in its own process. With
         1, they are read one after the other in this process.

@@ -428,10 +428,24 @@ def sample_factors(gyro_unit: str, accel_unit: str) -> NDArray[np.float64]:
 
 
 class ImuIdentity(NamedTuple):
-    """Identity of an IMU: its frame_id, and its serial number ('' if it is unknown)."""
+    """Identity of an IMU: its frame_id and its serial number, each '' if it is unknown."""
 
     frame_id: str = ''
     hardware_id: str = ''
+
+    def __str__(self) -> str:
+        return (
+            f'frame_id {self.frame_id or "unknown"}, serial number {self.hardware_id or "unknown"}'
+        )
+
+    def can_be(self, other: ImuIdentity) -> bool:
+        """Return whether two identities can be of one IMU.
+
+        The serial numbers must be equal: an unknown one differs from a known one. The frame_ids
+        must be equal if both are known.
+        """
+        known_frame_ids = {self.frame_id, other.frame_id} - {''}
+        return self.hardware_id == other.hardware_id and len(known_frame_ids) < 2
 
     @property
     def label(self) -> str:

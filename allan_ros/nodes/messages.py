@@ -163,7 +163,7 @@ def replaced_share(before: Sequence[AllanSums], after: Sequence[AllanSums]) -> f
     """
     shares = [0.0]
     for old in before:
-        matching_sums = [s for s in after if (s.identity, s.axes) == (old.identity, old.axes)]
+        matching_sums = [s for s in after if s.axes == old.axes and old.identity.can_be(s.identity)]
         if not matching_sums:
             return 1.0
         shares.append(_lost(old, matching_sums[0]) / max(old.samples, 1))
@@ -178,10 +178,7 @@ def replaced_because(before: Sequence[AllanSums], snapshot: Snapshot) -> str:
     """Return a clause that states why samples in the sums ``before`` are missing in a snapshot."""
     present_identity = ImuIdentity(snapshot.frame_id, snapshot.hardware_id)
     former_identity = next((s.identity for s in before), present_identity)
-    if (former_identity.frame_id, former_identity.hardware_id) != (
-        present_identity.frame_id,
-        present_identity.hardware_id,
-    ):
+    if not present_identity.can_be(former_identity):
         former_name, present_name = (
             one_line(str(i.hardware_id or i.frame_id)) for i in (former_identity, present_identity)
         )

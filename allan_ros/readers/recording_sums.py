@@ -113,7 +113,7 @@ class RecordingSums:
         try:
             sums = add_sums(self.sums, other.sums)
         except AllanError as error:
-            raise AllanError(f'{other.name} cannot be added to {self.name}: {error}') from error
+            raise AllanError(f'{self.name} and {other.name}: {error}') from error
         if any(_share_a_segment(a, b) for a, b in product(self.sums, other.sums)):
             raise AllanError(
                 f'{other.name} contains samples of an earlier recording: give each '

@@ -134,6 +134,7 @@ def test_absurd_sums_are_rejected_in_one_line(
     assert main(['analyze', *others, str(path)]) == 1
     error = capsys.readouterr().err
     assert error.count('\n') == 1 and str(path) in error and 'Traceback' not in error
+    assert error.count('cannot be added') == len(others)
 
 
 def test_skipping_all_data_is_reported(recording: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -17,7 +17,7 @@ from std_msgs.msg import String
 
 from allan_ros.core.allan.running import RunningSums
 from allan_ros.core.findings import finding
-from allan_ros.core.imu import ImuBatch
+from allan_ros.core.imu import ImuBatch, ImuIdentity
 from allan_ros.core.stream.pipeline import ImuStream
 from allan_ros.nodes.messages import Snapshot, replaced_because, replaced_share
 from allan_ros.nodes.shell import LATCHED
@@ -55,6 +55,8 @@ def test_growing_sums_are_not_replaced(still_imu) -> None:
     assert replaced_share((), pieces[0]) == 0.0
     assert replaced_share(pieces[-1], pieces[0]) > 0.8
     assert replaced_share(pieces[0], ()) == 1.0
+    unnamed = tuple(replace(s, identity=ImuIdentity()) for s in pieces[0])
+    assert replaced_share(unnamed, pieces[1]) < 0.1
     other = sums_of(still_imu(12_000, start_ns=10**18 + 10**12))
     assert replaced_share(pieces[0], other) == 1.0  # more samples, but of another time
 

@@ -198,10 +198,12 @@ class AllanSums(ByValue):
     def __add__(self, other: AllanSums) -> AllanSums:
         """Return the sums over the samples of both recordings.
 
+        The identity has the known frame_id if one recording has none.
+
         Raises
         ------
         AllanError
-            If the axes, the identities or the sample periods differ (see `check_addable`).
+            If the axes, the IMUs or the sample periods differ (see `check_addable`).
         """
         self.check_addable(other)
         if self.axes != other.axes:
@@ -211,6 +213,7 @@ class AllanSums(ByValue):
             )
         return replace(
             self,
+            identity=self.identity if self.identity.frame_id else other.identity,
             count=add_padded(self.count, other.count),
             sum_sq=add_padded(self.sum_sq, other.sum_sq),
             group_count=add_padded(self.group_count, other.group_count),
@@ -228,13 +231,14 @@ class AllanSums(ByValue):
         Raises
         ------
         AllanError
-            If the identities differ, or the sample periods differ by more than 0.1 % plus the
-            uncertainty of the stamps at the ends of the segments.
+            If the identities cannot be of one IMU (see `ImuIdentity.can_be`), or the sample
+            periods differ by more than 0.1 % plus the uncertainty of the stamps at the ends of the
+            segments.
         """
-        if self.identity != other.identity:
+        if not self.identity.can_be(other.identity):
             raise AllanError(
-                f'sums of {self.identity} and of {other.identity} cannot be added: '
-                'they are different IMUs, analyze them separately'
+                f'sums of different IMUs ({self.identity}; {other.identity}) cannot be added: '
+                'analyze them separately'
             )
         a, b = self.tau0, other.tau0
         tolerance = TAU0_TOLERANCE + self._tau0_uncertainty + other._tau0_uncertainty

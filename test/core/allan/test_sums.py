@@ -88,13 +88,23 @@ def test_sums_of_other_axes_or_rates_are_not_added():
     sums = sums_of(noise(500, axes=3))
     with pytest.raises(AllanError, match='axes'):
         sums + sums_of(noise(500))
-    with pytest.raises(AllanError, match='different IMUs'):
-        sums + replaced(sums, identity=ImuIdentity('imu', 'serial 7'))
+    with pytest.raises(AllanError, match='different IMUs') as error:
+        sums + replaced(sums, identity=ImuIdentity('imu', '7'))
+    assert 'frame_id imu, serial number unknown; frame_id imu, serial number 7' in str(error.value)
+    with pytest.raises(AllanError, match='frame_id base_imu, serial number unknown'):
+        sums + replaced(sums, identity=ImuIdentity('base_imu'))
     # 1 % exceeds 0.1 % plus the ends of a segment of 500 samples (2 x 0.4 %)
     with pytest.raises(AllanError, match='rates are more than'):
         sums + replaced(sums, elapsed_ns=sums.elapsed_ns * 101 // 100)
     close = replaced(sums, elapsed_ns=sums.elapsed_ns * 100_05 // 100_00)
     assert (sums + close).samples == 1000
+
+
+def test_a_recording_without_a_frame_id_can_be_added_to_any_other():
+    named = sums_of(noise(500, axes=3))
+    unnamed = replaced(named, identity=ImuIdentity())
+    assert unnamed + named == named + unnamed == named + named
+    assert (unnamed + unnamed).identity == ImuIdentity()
 
 
 def test_a_part_is_near_the_sums_of_its_samples():
