@@ -70,7 +70,7 @@ def test_results_never_hide_the_recordings_in_their_folder(
     for verb in ('analyze', 'check'):
         assert main([verb, str(tmp_path)]) == 1
         error = capsys.readouterr().err
-        assert error.startswith(f'allan {verb}: {tmp_path}: has the results of an analysis and also')
+        assert error.startswith(f'allan {verb}: {tmp_path}: has the results of an analysis and')
         assert others[-1].split('/')[0] in error and error.count('\n') == 1
 
 
