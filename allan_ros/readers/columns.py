@@ -11,7 +11,8 @@ options does.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+import shlex
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -251,14 +252,14 @@ def _unit_by_step(times: NDArray[np.float64]) -> str:
     return next((unit for unit, longest in LONGEST_STEP.items() if step < longest), 'ns')
 
 
-def columns_of(where: object, names: Iterable[str], options: ReadOptions) -> ColumnLayout:
+def columns_of(where: object, names: Sequence[str], options: ReadOptions) -> ColumnLayout:
     """Find the columns of samples, times and temperature by the names of all columns.
 
     Parameters
     ----------
     where : object
         Name of the table in error messages.
-    names : iterable of str
+    names : sequence of str
         Names of the columns. If several columns contain times, `_STAMPS` states which of them are
         used. Of several columns with the same kind of time, or with a temperature, the first is
         used; a temperature in an unknown unit is ignored.
@@ -284,10 +285,11 @@ def columns_of(where: object, names: Iterable[str], options: ReadOptions) -> Col
         if kind in SENSORS:
             axis = f'{kind}_{letter}'
             if axis in axes:
+                is_repeated = axis_names[axis] == name
+                choice = _names_once(names) if is_repeated else f'{kind[0]}{letter}={name},...'
                 raise AllanError(
                     f'{where}: the columns {axis_names[axis]!r} and {name!r} both contain {axis}: '
-                    'choose the columns of one IMU with --columns, such as '
-                    f'{kind[0]}{letter}={name},...'
+                    f'choose the columns of one IMU, such as --columns {choice}'
                 )
             axis_names[axis] = name
             stated_unit = unit or getattr(options, f'{kind}_unit')
@@ -328,6 +330,15 @@ def columns_of(where: object, names: Iterable[str], options: ReadOptions) -> Col
         unclear_time=unknown_units[stamp_kinds[0]] if stamp_kinds else '',
         unrecognized=tuple(unrecognized),
     )
+
+
+def _names_once(names: Sequence[str]) -> str:
+    """Return a value of --columns with all names; repeated names are replaced by '-'.
+
+    The value is quoted for a shell if necessary.
+    """
+    once = [LEFT_OUT if name in names[:column] else name for column, name in enumerate(names)]
+    return shlex.quote(','.join(once))
 
 
 _WORDS = re.compile(r'[A-Z]?[a-z]+|[A-Z]+')
@@ -381,9 +392,12 @@ def picked_names(where: object, names: tuple[str, ...], pairs: tuple[str, ...]) 
         base = _base_and_unit(old_name)[0]
         positions = positions or [i for i, name in enumerate(bases) if name == base]
         if len(positions) != 1:
+            remedy = f'correct --columns {pair}'
+            if names.count(old_name) > 1:
+                remedy = f'name each column in order, such as --columns {_names_once(names)}'
             raise AllanError(
                 f'{where}: {len(positions)} columns ({listed(names)}) are named {old_name!r}: '
-                f'correct --columns {pair}'
+                f'{remedy}'
             )
         unit = _BRACKET.match(names[positions[0]])
         if unit and not _BRACKET.match(new_name):

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 from pathlib import Path
 from typing import Any
 
@@ -206,6 +207,15 @@ def test_two_columns_of_one_axis_are_refused_or_chosen(tmp_path: Path) -> None:
     assert "the columns 'imu1_gx' and 'imu2_gx' both contain gyro_x" in refused(path)
     chosen = read(path, columns=('gx=imu2_gx', 'gy=imu2_gy', 'gz=imu2_gz'))
     assert chosen.samples[0, :3].tolist() == [4.0, 5.0, 6.0]
+
+
+def test_repeated_names_are_refused_with_names_that_are_accepted(tmp_path: Path) -> None:
+    path = table(tmp_path, f't [s],gx,gx,gz,ax,ay,az\n0,{ROW}\n')
+    for options in ({}, {'columns': ('gx=gx',)}):
+        _, _, advice = refused(path, **options).partition(' --columns ')
+        assert advice == "'t [s],gx,-,gz,ax,ay,az'"
+    columns = tuple(shlex.split(advice)[0].split(','))
+    assert read(path, columns=columns).samples[0, 0] == VALUES[0]
 
 
 def test_naming_the_time_keeps_the_other_columns(tmp_path: Path) -> None:
