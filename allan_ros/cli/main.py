@@ -12,11 +12,13 @@ import contextlib
 import gc
 import importlib
 import os
+import re
 import shlex
 import signal
 import sys
 import textwrap
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import Any, NamedTuple, NoReturn
 
 from .. import __version__, keep_to_one_thread
@@ -91,6 +93,11 @@ EXITS = {
     EXIT_INTERRUPTED: 'interrupted: incomplete files are removed',
 }
 """Exit code -> meaning of the code, for the help."""
+
+
+EMPTY = re.compile('(--[a-z-]+=)?')
+"""Pattern of an argument without content: '' or, for example, '--plan='. An unset variable of the
+shell becomes such an argument, which Python would read as the path of the working directory."""
 
 
 class AllanParser(argparse.ArgumentParser):
@@ -245,7 +252,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _run(words: Sequence[str]) -> int:
     """Parse the arguments and run the verb; return the exit code.
 
-    Without arguments, print the help and return `EXIT_USAGE`.
+    Without arguments, print the help and return `EXIT_USAGE`. Raises AllanError if an argument or
+    the value of an option is an empty text.
     """
     keep_to_one_thread()
     if not words:
@@ -258,6 +266,12 @@ def _run(words: Sequence[str]) -> int:
         sys.stdout.flush()  # if the pipe is closed, the exception is raised here, inside of `main`
         raise
     args.command_line = shlex.join(['allan', *words])
+    for former_word, word in pairwise(words):
+        if EMPTY.fullmatch(word):
+            name = word.rstrip('=') or f'the argument after {former_word}'
+            raise AllanError(
+                f'{name} is empty: give a path or a value; is the shell variable for it set?'
+            )
     return command_of(args.verb).run(args)
 
 

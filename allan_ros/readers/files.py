@@ -17,6 +17,7 @@ import re
 import stat
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import wraps
+from inspect import signature
 from pathlib import Path
 from typing import Any, BinaryIO, ParamSpec, TypeVar
 from uuid import uuid4
@@ -43,11 +44,22 @@ def with_checked_paths(function: Callable[P, T]) -> Callable[P, T]:
 
     The function also raises AllanError for a text argument that cannot be a path, because it
     contains a null character or a name that is too long for a file. Not every version of Python
-    reports such an argument. The length of `IDENTITIES` is not checked.
+    reports such an argument. The length of `IDENTITIES` is not checked. An empty text, which Python
+    reads as the path of the working directory, also raises AllanError, unless the default of the
+    parameter is a text.
     """
+    function_signature = signature(function)
 
     @wraps(function)
     def checked(*args: P.args, **given: P.kwargs) -> T:
+        with contextlib.suppress(TypeError):  # for wrong arguments, the call below raises TypeError
+            for name, value in function_signature.bind(*args, **given).arguments.items():
+                texts = value if isinstance(value, (tuple, list)) else (value,)
+                has_empty_text = any(isinstance(text, str) and not text for text in texts)
+                if has_empty_text and not isinstance(
+                    function_signature.parameters[name].default, str
+                ):
+                    raise AllanError(f'{name} is an empty text: give a path or a name')
         for name, value in (*(('', each) for each in args), *given.items()):
             for text in value if isinstance(value, (tuple, list)) else (value,):
                 if not isinstance(text, PATH):

@@ -148,6 +148,35 @@ def interrupted(process: subprocess.Popen[str], verb: str) -> None:
     assert said.strip() == f'allan {verb}: interrupted, nothing more is written'
 
 
+@pytest.mark.parametrize(
+    'words',
+    [
+        ['analyze', ''],
+        ['check', '', '--sensor', 'bmi088'],
+        ['check', 'imu.npz', '--baseline', ''],
+        ['check', 'imu.npz', '--plan='],
+        ['analyze', 'imu.npz', '-o', ''],
+        ['export', 'run', '--to', 'openvins', '-o', ''],
+    ],
+)
+def test_an_empty_argument_is_neither_the_working_directory_nor_the_default(
+    words: Sequence[str],
+    recording: Path,
+    analyzed: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    (tmp_path / 'imu.npz').symlink_to(recording)
+    (tmp_path / 'run').symlink_to(analyzed)
+    monkeypatch.chdir(tmp_path)
+    files = sorted(tmp_path.iterdir())
+    assert main(words) == 1
+    printed = capsys.readouterr()
+    assert not printed.out and printed.err.count('\n') == 1 and ' is empty: give ' in printed.err
+    assert sorted(tmp_path.iterdir()) == files
+
+
 def test_ctrl_c_is_one_line_and_exit_130(tmp_path: Path) -> None:
     endless = tmp_path / 'endless.mcap'
     process = subprocess.Popen(
