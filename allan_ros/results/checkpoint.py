@@ -330,4 +330,4 @@ class Checkpoint:
 
 def _has_wrong_unit(sums: tuple[AllanSums, ...]) -> bool:
     """Return whether the noise or the mean of a sensor is impossible in SI units."""
-    return any(unit_findings(one_sensor) for one_sensor in sums)
+    return bool(unit_findings(sums))

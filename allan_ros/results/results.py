@@ -38,8 +38,9 @@ says nothing about the sensor."""
 MOTION_MEASURED = ('error_in_motion', 'motion_as_at_rest')
 """Ids of the findings that state the ratio of the errors in motion to the predicted errors."""
 
-UNSUITABLE = ('not_noise', 'not_settled')
-"""Ids of findings about data that do not show the noise of the sensor at rest."""
+UNSUITABLE = ('sensors_exchanged', 'not_noise', 'not_settled')
+"""Ids of findings about data that do not show the noise of the sensor at rest, or show
+the noise of the other sensor."""
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from __future__ import annotations
 import math
 from bisect import insort
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from typing import Any, Generic, Literal, NamedTuple, TypeVar
 
@@ -71,6 +71,11 @@ NO_AXES = np.zeros(0)
 G_BAND = 0.15
 """A mean acceleration is regarded as gravity if it differs from gravity by less than this
 fraction."""
+
+EXCHANGED_UNITS = ('rad/s', 'm/s^2'), ('rad/s', 'g'), ('deg/s', 'm/s^2')
+"""Units of the gyro and the accelerometer. The two sensors are exchanged if only the gyro measures
+gravity, in one of these pairs of units. The pair deg/s and g is not used, because a gyro may have a
+bias of 1 deg/s."""
 
 SAME_SUMS = 1e-6
 """Largest relative difference, due to rounding, between the Allan sums of two equal axes."""
@@ -355,7 +360,8 @@ def stream_findings(
             has_no_noise = stream_sums.sum_sq[0] == 0.0
             axes_without_noise = tuple(np.array(stream_sums.axes)[has_no_noise].tolist())
         add('no_noise', axes_without_noise, axes_without_noise)
-        findings += [*_equal_axes(stream_sums), *unit_findings(stream_sums)]
+        findings += _equal_axes(stream_sums)
+    findings += unit_findings(sums)
     add('nothing_left', c.received and not sums, received=c.received)
     return findings
 
@@ -426,33 +432,64 @@ def _equal_axes(sums: AllanSums) -> list[Finding]:
     return [finding('axes_equal', (sums.axes[i], sums.axes[j])) for j, i in equal_pairs]
 
 
-def unit_findings(sums: AllanSums) -> list[Finding]:
-    """Return a finding for each sensor whose values are implausible in SI units.
+def unit_findings(sums: Sequence[AllanSums]) -> list[Finding]:
+    """Return findings about sensors whose values are implausible in SI units.
 
-    Of a gyro, N and the mean rate are examined, and of an accelerometer with three axes, the
-    magnitude of the mean.
+    ``sums`` are the Allan sums of an IMU, of both sensors together or of each sensor. Of a gyro, N
+    and the mean rate are examined, and of an accelerometer with three axes, the magnitude of the
+    mean. If the two sensors are probably exchanged, only this is reported.
     """
-    if not sums.tau0 or not sums.recordings:
-        return []
+    columns = {
+        sensor: (stream_sums, indices)
+        for stream_sums in sums
+        if stream_sums.tau0 and stream_sums.recordings
+        for sensor in SENSORS
+        if (indices := [i for i, a in enumerate(stream_sums.axes) if sensor_of(a) == sensor])
+    }
+    norms = {
+        sensor: _norm_at_rest(*pair)
+        for sensor, pair in columns.items()
+        if len(pair[1]) == len(AXES[SENSORS[sensor]])
+    }
+    exchanged = _exchange_findings(**norms) if len(norms) == len(SENSORS) else []
+    if exchanged:
+        return exchanged
+    found = _rate_findings(*columns['gyro']) if 'gyro' in columns else []
+    if 'accel' in norms:
+        found += gravity_findings(norms['accel'], AXES[SENSORS['accel']])
+    return found
+
+
+def _rate_findings(sums: AllanSums, columns: list[int]) -> list[Finding]:
+    """Return a finding if N or the mean rate of a gyro is implausible in rad/s.
+
+    ``columns`` are the indices of the axes of the gyro in ``sums``.
+    """
     sample_sums = np.sum([r.samples * r.mean for r in sums.recordings], axis=0)
     mean = sample_sums / max(sums.samples, 1)
-    is_below_1s = sums.m * sums.tau0 <= 1.0
-    found: list[Finding] = []
-    for sensor, sensor_slice in SENSORS.items():
-        columns = [i for i, axis in enumerate(sums.axes) if sensor_of(axis) == sensor]
-        axes = tuple(sums.axes[i] for i in columns)
-        if sensor == 'gyro' and columns:
-            rate = float(np.abs(mean[columns]).max())
-            tau = sums.m[is_below_1s, None] * sums.tau0
-            densities = np.sqrt(sums.avar[is_below_1s][:, columns] * tau)
-            n = float(np.median(densities.min(axis=0))) if len(tau) else 0.0
-            if n > LARGEST_N or rate > LARGEST_REST_RATE:
-                unit = probable_gyro_unit(n)
-                found.append(finding('gyro_unit', axes, n=n, rate=rate, unit=unit))
-        elif len(columns) == sensor_slice.stop - sensor_slice.start:
-            norm = _norm_at_rest(sums, columns)
-            found += gravity_findings(norm, axes)
-    return found
+    rate = float(np.abs(mean[columns]).max())
+    times = sums.m * (sums.tau0 or 0.0)
+    densities = np.sqrt(sums.avar[:, columns] * times[:, None])[times <= 1.0]
+    n = float(np.median(densities.min(axis=0))) if len(densities) else 0.0
+    if n <= LARGEST_N and rate <= LARGEST_REST_RATE:
+        return []
+    axes = tuple(sums.axes[i] for i in columns)
+    return [finding('gyro_unit', axes, n=n, rate=rate, unit=probable_gyro_unit(n))]
+
+
+def _exchange_findings(gyro: float, accel: float) -> list[Finding]:
+    """Return a finding if the gyro measures gravity and the accelerometer does not.
+
+    ``gyro`` is the magnitude of the mean rate at rest in rad/s, and ``accel`` is the magnitude of
+    the mean acceleration in m/s^2.
+    """
+    if accel > STANDARD_GRAVITY or gravity_unit(accel):
+        return []
+    for unit, other in EXCHANGED_UNITS:
+        mean = gyro / UNITS[unit].factor
+        if gravity_unit(mean) == other:
+            return [finding('sensors_exchanged', mean=mean, unit=unit, other=other, norm=accel)]
+    return []
 
 
 def _norm_at_rest(sums: AllanSums, axes: list[int]) -> float:

@@ -8,6 +8,7 @@ from support.streams import PERIOD, accumulate, faulty, ids, repeated, still
 
 from allan_ros.core.fit.stationary import fit_likelihood
 from allan_ros.core.imu import AXES
+from allan_ros.core.stream.health import unit_findings
 from allan_ros.view.finding_text import texts_of
 
 
@@ -174,6 +175,48 @@ def test_units_that_cannot_be_si_are_named(scale, expected):
         assert f.severity == 'error' and (
             'deg/s' in texts_of(f).remedy or 'accelerometer' in texts_of(f).remedy
         )
+
+
+EXCHANGED = [3, 4, 5, 0, 1, 2]
+
+
+@pytest.mark.parametrize(
+    'gyro_factor, accel_factor, expected',
+    [
+        (1.0, 1.0, ('rad/s', 'm/s^2')),
+        (np.pi / 180, 1.0, ('deg/s', 'm/s^2')),
+        (np.pi / 180, 9.80665, ('deg/s', 'm/s^2')),
+        (1 / 9.80665, 1.0, ('rad/s', 'g')),
+    ],
+    ids=['SI', 'gyro declared as deg/s', 'declared as deg/s and g', 'accelerometer in g'],
+)
+def test_exchanged_sensors_are_named_also_if_a_unit_is_declared(
+    gyro_factor, accel_factor, expected
+):
+    t, x = still(12_000)
+    swapped = x[:, EXCHANGED] * ([gyro_factor] * 3 + [accel_factor] * 3)
+    (found,) = [f for f in accumulate(t, swapped).findings if f.severity == 'error']
+    assert found.id == 'sensors_exchanged' and found.severity == 'error'
+    assert (found.values['unit'], found.values['other']) == expected
+
+
+def test_exchanged_sensors_with_separate_sums_are_named():
+    t, x = still(12_000)
+    swapped = x[:, EXCHANGED]
+    gyro, accel = ([1.0] * 3 + [0.0] * 3, [0.0] * 3 + [1.0] * 3)
+    sums = [s for only in (gyro, accel) for s in accumulate(t, swapped * only).sums]
+    assert [len(s.axes) for s in sums] == [3, 3]
+    assert [f.id for f in unit_findings(sums)] == ['sensors_exchanged']
+
+
+@pytest.mark.parametrize(
+    'factor, expected', [(1.0, []), (180 / np.pi, ['gyro_unit'])], ids=['rad/s', 'deg/s']
+)
+def test_an_imu_without_gravity_is_not_taken_for_exchanged_sensors(factor, expected):
+    t, x = still(12_000)
+    x[:, 5] -= 9.8
+    found = accumulate(t, x * ([factor] * 3 + [1.0] * 3)).findings
+    assert [f.id for f in found if f.severity == 'error'] == expected
 
 
 def test_a_stuck_axis_is_named():
