@@ -454,16 +454,20 @@ def unit_findings(sums: Sequence[AllanSums]) -> list[Finding]:
     exchanged = _exchange_findings(**norms) if len(norms) == len(SENSORS) else []
     if exchanged:
         return exchanged
-    found = _rate_findings(*columns['gyro']) if 'gyro' in columns else []
-    if 'accel' in norms:
-        found += gravity_findings(norms['accel'], AXES[SENSORS['accel']])
-    return found
+    accel_axes = AXES[SENSORS['accel']]
+    accel_findings = gravity_findings(norms['accel'], accel_axes) if 'accel' in norms else []
+    if 'gyro' not in columns:
+        return accel_findings
+    # if no unit explains the values of the accelerometer, both sensors may have raw counts
+    may_be_counts = any(f.id == 'accel_scale' for f in accel_findings)
+    return [*_rate_findings(*columns['gyro'], may_be_counts), *accel_findings]
 
 
-def _rate_findings(sums: AllanSums, columns: list[int]) -> list[Finding]:
+def _rate_findings(sums: AllanSums, columns: list[int], may_be_counts: bool) -> list[Finding]:
     """Return a finding if N or the mean rate of a gyro is implausible in rad/s.
 
-    ``columns`` are the indices of the axes of the gyro in ``sums``.
+    ``columns`` are the indices of the axes of the gyro in ``sums``. The finding states the probable
+    unit, unless the samples may be raw counts.
     """
     sample_sums = np.sum([r.samples * r.mean for r in sums.recordings], axis=0)
     mean = sample_sums / max(sums.samples, 1)
@@ -474,7 +478,8 @@ def _rate_findings(sums: AllanSums, columns: list[int]) -> list[Finding]:
     if n <= LARGEST_N and rate <= LARGEST_REST_RATE:
         return []
     axes = tuple(sums.axes[i] for i in columns)
-    return [finding('gyro_unit', axes, n=n, rate=rate, unit=probable_gyro_unit(n))]
+    unit = None if may_be_counts else probable_gyro_unit(n)
+    return [finding('gyro_unit', axes, n=n, rate=rate, unit=unit)]
 
 
 def _exchange_findings(gyro: float, accel: float) -> list[Finding]:

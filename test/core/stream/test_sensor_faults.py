@@ -177,6 +177,14 @@ def test_units_that_cannot_be_si_are_named(scale, expected):
         )
 
 
+def test_no_unit_is_suggested_for_raw_counts():
+    t, x = still(12_000)
+    counts = np.round(x * ([131 * 180 / np.pi] * 3 + [16384 / 9.80665] * 3))
+    gyro, accel = (f for f in accumulate(t, counts).findings if f.severity == 'error')
+    assert (gyro.id, accel.id) == ('gyro_unit', 'accel_scale')
+    assert gyro.values['unit'] is None and 'raw counts' in texts_of(gyro).remedy
+
+
 EXCHANGED = [3, 4, 5, 0, 1, 2]
 
 
