@@ -20,8 +20,8 @@ from ..core.errors import AllanError
 from ..core.findings import grouped
 from ..core.imu import sensor_of
 from ..core.settings import LIST, MAX_FLOAT, UNIT_SYSTEMS, check_choice, expect, settings_from
-from ..export import ExportOptions, make_export, target_of
-from ..readers.files import PATH, with_checked_paths, write_atomic
+from ..export import ExportOptions, make_export, write_export
+from ..readers.files import PATH, with_checked_paths
 from ..results.datasheets import Datasheet as PlainDatasheet
 from ..results.datasheets import load_sensor
 from ..results.documents import labels_of
@@ -176,7 +176,11 @@ class Results(PlainResults):
 
     @public
     def export(
-        self, target: str, path: str | os.PathLike[str] | None = None, **options: Any
+        self,
+        target: str,
+        path: str | os.PathLike[str] | None = None,
+        overwrite: bool = False,
+        **options: Any,
     ) -> str:
         """Return the text of a configuration file of a state estimator or simulator.
 
@@ -186,6 +190,9 @@ class Results(PlainResults):
             An export target from the list of `allan export --list`, such as 'kalibr'.
         path : path, optional
             File to which the text is also written, or an existing folder for the file.
+        overwrite : bool
+            Whether a file that was not written by this package is replaced. An exported file is
+            always replaced.
         **options
             Options of `allan export` with underscores, such as ``inflate=2``,
             ``inflate={'gyro': 2, 'accel': 3}`` or ``motion=True``.
@@ -195,14 +202,15 @@ class Results(PlainResults):
         AllanError
             When the export target is unknown, an option is unknown or invalid, the results lack an
             axis or a number that the file needs, or the file cannot be written. Without
+            ``overwrite=True`` also when a file at ``path`` was not written by this package. Without
             ``force=True`` also when the samples are probably not in SI units, or the recording does
             not show the noise of the sensor.
         """
         text = make_export(self, target, settings_from(ExportOptions, options), finding_line).text
         if path is not None:
             expect(PATH, 'a path', path=path)
-            place = Path(path)
-            write_atomic(place / target_of(target).file_name if place.is_dir() else place, text)
+            expect(bool, overwrite=overwrite)
+            write_export(path, target, text, overwrite)
         return text
 
     @public
@@ -234,14 +242,16 @@ class Results(PlainResults):
             File formats of figures that are written in addition to the report: 'png', 'svg', 'pdf'.
         overwrite : bool
             Whether results of another recording in this folder, with another file name or topic,
-            are replaced. Samples in memory all have the name 'array'.
+            and configuration files that this package did not write are replaced. Samples in memory
+            all have the name 'array'.
 
         Raises
         ------
         AllanError
             When the results have no Allan sums, an argument is invalid, a file cannot be written,
             matplotlib is missing for figures, or another process writes to the folder. Without
-            ``overwrite`` also when the folder has results of another recording.
+            ``overwrite`` also when the folder has results of another recording, or a configuration
+            file that would be replaced and was not written by this package.
         """
         from ..view.result_files import check_plots, write_result_files
 
@@ -334,7 +344,11 @@ class Datasheet(PlainDatasheet):
         return Results.of(results_of_datasheet(self, rate))
 
     def export(
-        self, target: str, path: str | os.PathLike[str] | None = None, **options: Any
+        self,
+        target: str,
+        path: str | os.PathLike[str] | None = None,
+        overwrite: bool = False,
+        **options: Any,
     ) -> str:
         """Return the text of a configuration file with the noise of the datasheet.
 
@@ -344,7 +358,7 @@ class Datasheet(PlainDatasheet):
         of the IMU; the default is 200 Hz.
         """
         rate = settings_from(ExportOptions, options).filter_rate or DEFAULT_RATE_HZ
-        return self.results(rate).export(target, path, **options)
+        return self.results(rate).export(target, path, overwrite, **options)
 
 
 def compared(

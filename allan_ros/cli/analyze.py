@@ -98,7 +98,11 @@ INPUTS = (
         'folder for the results and the report (default: none)',
         'DIR',
     ),
-    Option(('--overwrite',), 'replace results of another recording in this folder'),
+    Option(
+        ('--overwrite',),
+        'replace results of another recording, and files that allan_ros did not write, in this '
+        'folder',
+    ),
     Option(('--jobs',), 'read N recordings in parallel', 'N', parse=int, default=1),
     Option(
         ('--scheduler',),
@@ -402,7 +406,11 @@ CHECK_INPUTS = (
         'DIR',
         default='',
     ),
-    Option(('--overwrite',), 'replace results of another recording in this folder'),
+    Option(
+        ('--overwrite',),
+        'replace results of another recording, and files that allan_ros did not write, in this '
+        'folder',
+    ),
     Option(('--jobs',), 'check N units in parallel', 'N', parse=int, default=1),
 )
 

@@ -17,7 +17,6 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Iterator, Mapping
-from pathlib import Path
 
 from ..core.errors import AllanError
 from ..core.estimate import LIMIT_DIGITS, significant
@@ -55,12 +54,11 @@ def run(args: argparse.Namespace) -> int:
             'give a results.json or its folder, or --sensor NAME, and --to TARGET; --list shows '
             'the targets'
         )
-    from ..export import make_export, target_of
+    from ..export import make_export, target_of, write_export
     from ..export.own_file import compare_drifts, verdicts
-    from ..readers.files import write_atomic
     from ..results.documents import load
 
-    target = target_of(args.to)
+    target_of(args.to)  # an unknown target is an error before the results are read
     options = settings_of(ExportOptions, args)
     if args.sensor:
         results = results_of_datasheet(
@@ -79,10 +77,9 @@ def run(args: argparse.Namespace) -> int:
             print('\n'.join([*map(str, drifts), *verdicts(drifts)]))
         return 0
     exported = make_export(results, args.to, options, finding_line)
-    path = Path(args.output) if args.output else None
-    if path is not None:
-        path = path / target.file_name if path.is_dir() else path
-        write_atomic(path, exported.text)
+    path = None
+    if args.output:
+        path = write_export(args.output, args.to, exported.text, args.overwrite)
     if console.json:
         findings = [finding_document(finding) for finding in exported.findings]
         destination = {'path': str(path)} if path else {'text': exported.text}
@@ -230,6 +227,7 @@ EXPORT_OPTIONS = (
         'file to write (default: standard output)',
         'FILE',
     ),
+    Option(('--overwrite',), 'replace a file that was not written by allan_ros'),
     Option(
         ('--against',),
         'your own file for TARGET: print the drift after 1, 10 and 60 s that a state estimator '

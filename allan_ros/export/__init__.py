@@ -12,7 +12,10 @@ from __future__ import annotations
 
 import difflib
 import math
+import os
+import re
 from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..core.errors import AllanError, one_line
@@ -20,6 +23,7 @@ from ..core.estimate import LIMIT_DIGITS, duration_text, significant
 from ..core.filters.noise_parameters import horizon_text
 from ..core.findings import Finding, finding
 from ..core.settings import expect
+from ..readers.files import MAX_BYTES, open_regular, write_atomic
 from ..readers.recording import listed
 from ..results.from_datasheet import FROM_DATASHEET
 from ..results.results import MOTION_MEASURED
@@ -39,10 +43,12 @@ __all__ = [
     'Export',
     'ExportOptions',
     'Row',
+    'check_own_output',
     'make_export',
     'origin_text',
     'target_of',
     'target_rows',
+    'write_export',
 ]
 
 WITHOUT_PARAMETERS = ('robot_localization', 'fuse')
@@ -117,6 +123,52 @@ def make_export(
         if keys and results.method != FROM_DATASHEET:
             findings.append(finding(id, keys=', '.join(dict.fromkeys(keys))))
     return Export(text, tuple(dict.fromkeys(findings)))
+
+
+OWN_OUTPUT = re.compile(rb'\ballan_ros \d')
+"""Name and version of this package, which the header of every exported file contains."""
+
+
+def write_export(
+    path: str | os.PathLike[str], name: str, text: str, overwrite: bool = False
+) -> Path:
+    """Write the text of an export target to a file, and return the path of the file.
+
+    Parameters
+    ----------
+    path : path
+        The file, or an existing folder for the file.
+    name : str
+        The export target, one of `TARGETS`.
+    text : str
+        The text of the file, from `make_export`.
+    overwrite : bool
+        Whether a file that was not written by this package is replaced.
+
+    Raises
+    ------
+    AllanError
+        When the file cannot be written, or may not be replaced.
+    """
+    file = Path(path) / target_of(name).file_name if os.path.isdir(path) else Path(path)
+    if not overwrite:
+        check_own_output(file)
+    write_atomic(file, text)
+    return file
+
+
+def check_own_output(path: Path) -> None:
+    """Raise AllanError if there is a file, other than an empty file or an exported file."""
+    try:
+        with open_regular(path) as file:
+            content = file.read(MAX_BYTES)
+    except OSError:  # the file is missing, or the error is reported when the file is written
+        return
+    if content and not OWN_OUTPUT.search(content):
+        raise AllanError(
+            f'{path}: was not written by allan_ros: choose another name, or use --overwrite '
+            '(in Python overwrite=True)'
+        )
 
 
 # --- header ---------------------------------------------------------------------------------------

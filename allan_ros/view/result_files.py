@@ -19,7 +19,7 @@ from ..core.findings import finding
 from ..core.imu import SENSORS
 from ..core.settings import check_choice
 from ..core.stream.signal import summarize_signal
-from ..export import TARGETS, make_export, target_of
+from ..export import TARGETS, check_own_output, make_export, target_of
 from ..readers.files import PathLock, read_json, to_json, write_together
 from ..results.documents import (
     RESULTS,
@@ -64,7 +64,8 @@ def write_result_files(
     Raises AllanError if the results have no Allan sums, an export target is unknown, figures are
     requested but matplotlib is missing, a file cannot be written, or another process writes to the
     folder for longer than `LOCK_WAIT_S`. Unless ``overwrite`` is set, also raises AllanError if the
-    folder has results of another recording.
+    folder has results of another recording, or a configuration file that would be replaced and was
+    not written by this package.
     """
     recorded = results.recorded
     if recorded is None:
@@ -72,6 +73,8 @@ def write_result_files(
     folder = Path(folder)
     _files_in(folder, results, overwrite)  # checks the folder before the report is made
     target_files, results = _filter_files(results, targets)
+    for name in () if overwrite else target_files:
+        check_own_output(folder / name)
     provenance = results.provenance
     summary = summarize_signal(
         recorded.signals, provenance.segments, SIGNAL_BINS, recorded.events, recorded.temperatures

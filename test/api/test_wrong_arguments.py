@@ -64,6 +64,7 @@ CALLS = [
     (lambda r: ar.inflate(r, ''), 'running is an empty text'),
     (lambda r: r.save(''), 'folder is an empty text'),
     (lambda r: r.export('openvins', ''), 'path is an empty text'),
+    (lambda r: r.export('openvins', 'x', overwrite=1), 'overwrite is 1: True or False'),
     (lambda r: r.check(sensor='a' * 5000), 'File name too long'),
     (lambda r: ar.inflate(r, r, horizon=float('inf')), 'horizon is inf: it must lie between'),
     (lambda r: ar.simulate(0.01, seed=1.5), 'seed is 1.5: a whole number is expected'),

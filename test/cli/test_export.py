@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import allan_ros as ar
 from allan_ros.cli.main import main
 from allan_ros.export import TARGETS, target_of
 
@@ -34,6 +35,40 @@ def test_every_target_is_written(analyzed: Path, tmp_path: Path, target: str) ->
     named = tmp_path / 'named'
     assert main(['export', results, '--to', target, '-o', str(named)]) == 0
     assert (tmp_path / target_of(target).file_name).read_bytes() == named.read_bytes()
+
+
+@pytest.mark.parametrize('target', [name for name in TARGETS if name != 'temperature'])
+def test_only_an_exported_or_empty_file_is_replaced(
+    analyzed: Path, tmp_path: Path, target: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ['export', str(analyzed / 'results.json'), '--to', target, '-o']
+    for path in (tmp_path / 'mine', tmp_path / target_of(target).file_name):
+        path.write_text('# my calibration, compared with allan_ros\nnoise: 1\n')
+        place = str(tmp_path if path.name != 'mine' else path)
+        assert main([*words, place]) == 1
+        error = capsys.readouterr().err
+        assert f'{path}: was not written by allan_ros' in error and error.count('\n') == 1
+        assert path.read_text().startswith('# my calibration')
+        for exported in (ar.load(analyzed), ar.sensor('bmi088')):
+            with pytest.raises(ar.AllanError, match='was not written by allan_ros'):
+                exported.export(target, place)
+        assert main([*words, place, '--overwrite']) == 0
+        assert main([*words, place]) == 0
+        path.write_text('')
+        assert main([*words, place]) == 0 and path.stat().st_size > 0
+        capsys.readouterr()
+
+
+def test_an_analysis_replaces_no_configuration_file_of_the_user(
+    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    mine = tmp_path / 'imu.yaml'
+    mine.write_text('accelerometer_noise_density: 1.0\n')
+    words = ['analyze', str(recording), '-q', '-o', str(tmp_path)]
+    assert main(words) == 1
+    assert f'{mine}: was not written by allan_ros' in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == [mine]
+    assert main([*words, '--overwrite']) == main(words) == 0
 
 
 def test_a_folder_of_two_analyses_is_not_exported(
