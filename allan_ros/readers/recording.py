@@ -85,12 +85,12 @@ class ReadOptions(CheckedSettings):
     )
     gyro_unit: str = parameter(
         '',
-        'unit of the angular rate; empty: as stated in the recording, else rad/s',
+        'unit of the angular rate if the recording states none; empty: rad/s',
         choices=('', *SAMPLE_UNITS['gyro']),
     )
     accel_unit: str = parameter(
         '',
-        'unit of the acceleration; empty: as stated in the recording, else m/s^2',
+        'unit of the acceleration if the recording states none; empty: m/s^2',
         choices=('', *SAMPLE_UNITS['accel']),
     )
     gyro_counts: float = parameter(
