@@ -39,7 +39,7 @@ R = TypeVar('R', bound=PlainResults)
 
 
 def public(function: Callable[P, T]) -> Callable[P, T]:
-    """Return the function, decorated so that its AllanErrors state cause and remedy.
+    """Return the function, decorated so that its AllanErrors contain the texts of their findings.
 
     Errors of the operating system become AllanErrors, too.
     """

@@ -200,7 +200,7 @@ def _exits_text(exits: dict[int, str]) -> str:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one verb and return the exit code; errors during the run become one line on stderr.
+    """Run one verb and return the exit code; errors during the run are printed to stderr.
 
     If the program that reads the output closes the pipe, nothing more is printed. ``argv`` are the
     words after the name of the program, by default from ``sys.argv``. Raises SystemExit for an
@@ -252,8 +252,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _run(words: Sequence[str]) -> int:
     """Parse the arguments and run the verb; return the exit code.
 
-    Without arguments, print the help and return `EXIT_USAGE`. Raises AllanError if an argument or
-    the value of an option is an empty text.
+    Without arguments, print the help and return `EXIT_USAGE`. Raises AllanError if an argument of
+    the verb or the value of an option is an empty text.
     """
     keep_to_one_thread()
     if not words:

@@ -182,8 +182,8 @@ def _header_lines(
 ) -> list[str]:
     """Return the lines of the header comment, without comment marks.
 
-    The lines state source, date, convention, units, rate, axes, intervals and warnings. ``name`` is
-    the name of the target, and ``words`` returns the text of a finding.
+    The lines state, for example, the source, the convention, the rate and warnings. ``name`` is the
+    name of the target, and ``words`` returns the text of a finding.
     """
     results, target = noise.results, noise.target
     limit_keys = dict.fromkeys(row.key for row in rows if row.is_limit)
@@ -264,7 +264,7 @@ def _inflation(noise: FilterNoise) -> str:
 
 
 def _factors_text(sensor: SensorInMotion) -> str:
-    """Return the factors of a sensor in motion as text, such as 'N x2.7 (2.2 to 3.3)'."""
+    """Return the factors of a sensor in motion as text, such as 'N x2.70 (2.20 to 3.30)'."""
     terms: dict[Estimate, list[str]] = {}
     for term, factor in sensor.term_factors.items():
         terms.setdefault(factor, []).append(term)

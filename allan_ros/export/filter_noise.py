@@ -132,9 +132,8 @@ class FilterNoise:
 
     The constructor raises AllanError if the results have no sample rate, or if ``options.motion``
     is set and the results have no factors in motion. Unless ``options.force`` is set, it also
-    raises AllanError if a finding in `REFUSED` is present. `rows` raises AllanError if an axis or
-    another number of the results that the file needs is absent, or if a coefficient has neither a
-    resolved estimate nor a limit.
+    raises AllanError if a finding in `REFUSED` is present. `rows` raises AllanError if the results
+    lack an axis or a number that the file needs.
 
     Attributes
     ----------
@@ -148,7 +147,7 @@ class FilterNoise:
         'gyro' or 'accel' -> 'N' or 'K' -> factor by which the noise is multiplied. The factor of
         'K' also applies to R and to the other processes of the drift.
     used : dict of axis name to Reduction
-        Reduced-order model of each axis whose N and K are written to the file.
+        Reduced-order model with a random walk, of each axis for which it was computed.
     """
 
     def __init__(
@@ -236,8 +235,8 @@ class FilterNoise:
     def level(self, axis: str, term: str) -> FilterLevel:
         """Return the noise level of a term of one axis that is written to the file.
 
-        K, and N if the target models a random walk, come from the reduced-order model. With the
-        fidelity 'coefficients', all terms are as measured.
+        K, and N if the target models a random walk, come from the reduced-order model, unless the
+        fidelity is 'coefficients'.
         """
         is_adjusted = term == 'K' or (term == 'N' and self.target.walk)
         if self.options.fidelity == 'coefficients' or not is_adjusted:

@@ -105,8 +105,9 @@ def compare_drifts(
     ------
     AllanError
         If the text lacks a number of the target, or contains several values or an invalid value of
-        this number; if the target has no noise model in its file; or if the noise model predicts no
-        drift of any axis. Also under the conditions of the constructor of `FilterNoise`.
+        this number; if the file of the target states no drift of the bias; or if the noise model
+        predicts no drift of any axis. Also under the conditions of the constructor of
+        `FilterNoise`.
     """
     noise = FilterNoise(results, options, target)
     window = noise.horizon
@@ -148,7 +149,8 @@ def file_models(target: Target, text: str, rate: float) -> Mapping[str, Model]:
     """Return axis -> noise model that a state estimator assumes with the numbers in its file.
 
     ``text`` is the text of the file, and ``rate`` is the rate of the state estimator in Hz. Raises
-    AllanError under the conditions of `compare_drifts`.
+    AllanError if the text lacks a number of the target, or contains several values or an invalid
+    value of this number, or if the file of the target states no drift of the bias.
     """
     quantities = {key.what for key in target.keys}
     if not quantities & {'K', 'sigma'}:

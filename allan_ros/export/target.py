@@ -146,8 +146,8 @@ class Row:
 
     path: tuple[str, ...]  # the key, preceded by the keys of the mappings that contain it
     value: Value
-    words: str = ''  # formula, axis and interval of the number as text; '' if it is not measured
-    unit: str = ''  # unit of the number in the file; '' if it is not measured
+    words: str = ''  # formula, axis and interval of the number as text; '' for none
+    unit: str = ''  # unit of the number in the file; '' if it is not stated
     # 95 % interval of the number, in the unit of the file: (0, number) if the number is an upper
     # limit, (0, inf) if the interval is unknown. If the row has numbers for x, y and z, this is the
     # widest of their three intervals
@@ -162,7 +162,7 @@ class Row:
 
     @property
     def name(self) -> str:
-        """Name of the ROS parameter: the keys below ``ros__parameters``, joined by dots."""
+        """The keys of the path, without the keys `ANY_NODE` at its start, joined by dots."""
         path = self.path[2:] if self.path[:2] == ANY_NODE else self.path
         return '.'.join(path)
 
@@ -182,12 +182,12 @@ class Row:
 
     @property
     def is_limit(self) -> bool:
-        """Whether the number comes from a 95 % upper limit."""
+        """Whether any number of the row comes from a 95 % upper limit."""
         return any(level.is_limit for level in self.levels)
 
     @property
     def no_interval(self) -> bool:
-        """Whether the number comes from a value without a 95 % interval."""
+        """Whether any number of the row comes from a value without a 95 % interval."""
         return any(level.no_interval for level in self.levels)
 
 

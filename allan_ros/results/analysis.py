@@ -104,7 +104,7 @@ def analyze_recorded(
     """Fit the Allan sums of one IMU, and return the results.
 
     Method 'likelihood' does not fit data before a lasting change of the white noise, unless the
-    settings of the recordings state how much time at the start is excluded.
+    settings in ``recorded`` state how much time at the start is excluded.
 
     Parameters
     ----------

@@ -45,14 +45,14 @@ class AxisResult:
     curve : AxisCurve or None
         The measured Allan deviation in SI; None if only the coefficients are known.
     regions : tuple of Region
-        Ranges of averaging times, each with the noise that dominates in it; empty if there is no
-        curve, and in the results of `fit`.
+        Ranges of averaging times, each with the noise that dominates in it; empty if they are
+        unknown, as in the results of `fit`.
     name : str
         Name of the axis, such as 'gyro_z'.
     rounding : float or None
-        Step to which the samples are rounded, in SI; None if no step is found, if N is unknown, or
-        if the variance of the rounding error is at most 10 % or at least 105 % of the variance of
-        the white noise.
+        Step to which the samples are rounded, in SI; None if no step is found, if N is unknown or
+        0, or if the variance of the rounding error is at most 10 % or at least 105 % of the
+        variance of the white noise.
     turn_on : TurnOnBias or None
         Scatter of the bias between recordings; None for fewer than two recordings.
     temperature : TemperatureModel or None
@@ -141,8 +141,8 @@ class AxisResult:
         Raises
         ------
         AllanError
-            When N has neither a value nor an upper limit, or when the model has no drift and K has
-            neither a value nor an upper limit.
+            When N has neither a value nor a finite upper limit, or when the model has no drift and
+            K has neither a value nor a finite upper limit.
 
         Examples
         --------
@@ -228,9 +228,9 @@ class AxisResult:
         """Return the Allan deviation of the fitted model at the points of the curve, in SI.
 
         ``adev`` is the Allan deviation of the model, and ``upper`` is the Allan deviation of the
-        model with every unresolved term at its 95 % upper limit, if it is known. Both arrays,
-        (factors,), are NaN at short averaging times that the model does not describe, and where the
-        Allan variance of the model is not above 0. They are empty if there is no curve.
+        model with unresolved terms at their 95 % upper limits (`AxisFit.model_at_limits`). Both
+        arrays, (factors,), are NaN at short averaging times that the model does not describe, and
+        where the Allan variance of the model is not above 0. They are empty if there is no curve.
         """
         curve = self.curve
         if curve is None:

@@ -58,13 +58,14 @@ class Checkpoint:
     Attributes
     ----------
     earlier : (sums, provenance)
-        The sums of earlier runs: the content of the file when the present run began. Empty after
-        the file was renamed.
+        The sums that `total` adds to the sums of the present run: usually the content of the file
+        when this run began. Empty after the file was renamed.
     loaded : Finding or None
         Finding that the file is not used, because it was damaged and was renamed, or because its
-        sums had a wrong unit of measurement; None otherwise.
+        sums had a wrong unit of measurement; None if there is no such finding.
     refused : Finding or None
-        The reason why the file cannot be replaced at present; None if there is no such reason.
+        Finding that the file must not be replaced, for example because it is of another IMU; None
+        if there is no such finding.
     """
 
     def __init__(
@@ -91,9 +92,8 @@ class Checkpoint:
     def covered(self) -> tuple[tuple[int, int], ...]:
         """The time that the samples of earlier runs cover: one pair of stamps in ns.
 
-        The pair consists of the first stamp in the Allan sums and the latest received stamp. If the
-        latest received stamp is unknown, the end of the latest listed segment is used. The result
-        is an empty tuple if the sums contain no samples, or if no end is known.
+        The pair consists of the first stamp in the Allan sums and the latest known stamp. The
+        result is an empty tuple if the sums contain no samples, or if no latest stamp is known.
         """
         sums, provenance = self.earlier
         starts_ns = [p.begin_ns for s in sums for r in s.recordings for p in r.periods]
@@ -105,12 +105,12 @@ class Checkpoint:
 
     @property
     def findings(self) -> tuple[Finding, ...]:
-        """Findings about the current problems of the file."""
+        """Findings about problems with the file: current problems, and why it was renamed."""
         problems = (self._in_use, self._unsaved, self.refused, self.loaded)
         return tuple(f for f in problems if f is not None)
 
     def age_s(self, now: float) -> float | None:
-        """Return the time in s since the file was written; None if this run has not written it.
+        """Return the time in s since this run last wrote the file; None if it has not written it.
 
         ``now`` is the present value of `time.monotonic`.
         """
@@ -146,9 +146,9 @@ class Checkpoint:
         return total, replace(total_provenance, sources=sources, findings=provenance.findings)
 
     def save(self, total: Total) -> bool:
-        """Write the total to the file if the total contains new samples.
+        """Write the total to the file if the present run has samples.
 
-        Returns whether this succeeded or, without new samples, whether this node may write the
+        Returns whether this succeeded or, without such samples, whether this node may write the
         file.
         """
         self._collect()
@@ -157,7 +157,11 @@ class Checkpoint:
         )
 
     def save_in_background(self, total: Total) -> None:
-        """Start to write the total in a thread; `tick` records whether writing succeeded."""
+        """Start to write the total in a thread if the present run has samples.
+
+        Nothing is written if this node may not write the file. A later call, for example of `tick`,
+        records whether writing succeeded.
+        """
         self._collect()
         if self._has_new_samples and self._writable():
             self._writing = self._writer.submit(self._write, total)
@@ -303,7 +307,7 @@ class Checkpoint:
             with contextlib.suppress(OSError):  # the folder may have been removed
                 self._file.parent.mkdir(parents=True, exist_ok=True)
             write_atomic(self.path, to_json(sums_file_to_document(*total)))
-            self._content = total
+            self._content, self._saved_s = total, time.monotonic()
 
     def _collect(self) -> None:
         """Wait for the background write, if there is one, and record its success or error."""
@@ -312,13 +316,13 @@ class Checkpoint:
             self._completed(writing.result)
 
     def _completed(self, write: Callable[[], None]) -> bool:
-        """Call ``write``, record its time or its error, and return whether it succeeded."""
+        """Call ``write``, record its error, if any, and return whether it succeeded."""
         try:
             write()
         except AllanError as error:
             self._report_unwritable(error)
             return False
-        self._saved_s, self._unsaved = time.monotonic(), None
+        self._unsaved = None
         return True
 
     def _report_unwritable(self, error: AllanError) -> None:
@@ -329,5 +333,5 @@ class Checkpoint:
 
 
 def _has_wrong_unit(sums: tuple[AllanSums, ...]) -> bool:
-    """Return whether the noise or the mean of a sensor is impossible in SI units."""
+    """Return whether the noise or the mean of a sensor is implausible in SI units."""
     return bool(unit_findings(sums))

@@ -26,10 +26,11 @@ SCHEMA = 'allan_ros/comparison/2'
 class RunComparison:
     """Comparison of several recordings with the first recording, and with datasheets.
 
-    ``str(comparison)`` has a sentence for each recording except the first, and for each comparison
-    with a datasheet. If ``within`` is not 0, a further sentence for each recording except the first
-    states whether this recording is equal to the first. The text begins with sentences about
-    recordings that have wrong units or do not show the noise at rest, if any.
+    If `allan_ros.compare` returned the comparison, ``str(comparison)`` has a sentence for each
+    recording except the first, and for each comparison with a datasheet. If ``within`` is not 0, a
+    further sentence for each recording except the first states whether this recording is equal to
+    the first. The text begins with sentences about recordings that have wrong units or do not show
+    the noise at rest, if any.
 
     Attributes
     ----------
@@ -120,7 +121,8 @@ def compare_runs(
     Raises
     ------
     AllanError
-        When a recording has no axis in common with the first recording.
+        When a recording has no axis in common with the first recording, or when ``margin`` is below
+        0 or not finite and there is a datasheet.
     """
     runs = {one_line(label): results for label, results in runs.items()}
     (first, reference), *others = runs.items()

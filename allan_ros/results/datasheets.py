@@ -117,12 +117,13 @@ class Measured:
 def measured_from_document(fields: Fields) -> Measured:
     """Return an entry of the list ``measured`` in a datasheet file.
 
-    Raises AllanError if a key is unknown, or a number is missing or invalid.
+    Raises AllanError if the entry is invalid.
     """
     fields.allow_only('by', 'url', 'hours', 'condition', *SI_UNITS)
     values: dict[str, dict[str, Estimate]] = {}
     for sensor in (name for name in SI_UNITS if name in fields):
         terms = fields.fields(sensor)
+        terms.allow_only(*SI_UNITS[sensor])
         for term in terms:
             entry = terms.fields(term)
             entry.allow_only('value', 'low', 'high', 'unit')

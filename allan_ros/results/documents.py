@@ -75,7 +75,7 @@ DOCUMENT_KEYS = {
 def results_to_document(results: Results, curves: bool = True) -> dict[str, Any]:
     """Return the results as a document ``allan_ros/results/3`` in SI.
 
-    Findings are written as data. Only findings that the present catalog does not describe have
+    Findings are written as data. Only findings with texts from a document (`Finding.stated`) have
     texts. If ``curves`` is False, the document contains no curves and is much shorter.
     """
     return {

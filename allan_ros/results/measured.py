@@ -137,9 +137,9 @@ def measured_factors(sheet: Datasheet) -> Iterator[tuple[Measured, str, str, flo
 
 
 def known_factors(sheets: Iterable[Datasheet]) -> tuple[float, float]:
-    """Return the smallest and the largest ratio of a measured N or B to the figure of a datasheet.
+    """Return the smallest and the largest ratio of a measured N or B to the limit of a datasheet.
 
-    Both ratios are 1 if no measured value has such a figure.
+    Both ratios are 1 if no measured value has such a limit.
     """
     ratios = [ratio for sheet in sheets for *_, ratio in measured_factors(sheet) if ratio]
     return min(ratios, default=1.0), max(ratios, default=1.0)

@@ -91,7 +91,7 @@ ABOUT_THE_DATA = ('duration', 'used', 'temperature')
 verdict of its check is 'undecided' instead of 'exceeds'."""
 
 SIGNED = ('bias', 'temperature_drift')
-"""Quantities that can be negative, and therefore need both limits."""
+"""Quantities of an axis that can be negative, and therefore need both limits."""
 
 NEAR_K = 3.0
 """Largest accepted difference in K between the temperature at which a limit applies and the
@@ -332,7 +332,7 @@ def plan_from_document(document: object, where: str) -> Plan:
 def _limits(fields: Fields, quantity: str, unit: str) -> Limits:
     """Return the limits in an object with the keys lower, upper and unit.
 
-    One of the two limits may be missing, unless the quantity can be negative. Raises AllanError if
+    One of the two limits may be missing, unless ``quantity`` is in `SIGNED`. Raises AllanError if
     the object is invalid.
     """
     optional_keys = {'bias': ('at',), 'orientation': ('up',)}.get(quantity, ())

@@ -48,7 +48,8 @@ class Results:
     """The results of one analysis of one IMU.
 
     ``results['gyro_z']`` is the `AxisResult` of an axis, and iteration yields the names of the
-    axes. ``str(results)`` is a summary.
+    axes. If `allan_ros.analyze` or `allan_ros.load` returned the results, ``str(results)`` is a
+    summary.
 
     Attributes
     ----------
@@ -149,10 +150,10 @@ class Results:
         """The verdict on the IMU: 'failed', 'unknown', 'measured', 'attention' or 'healthy'.
 
         The first of these conditions that holds determines the verdict: 'failed' for a broken
-        sensor; 'unknown' for too little data, a wrong unit of measurement, or a recording of motion
-        or of a warm-up; 'failed' for an exceeded limit; 'unknown' for another error, or if
-        `is_decided` is False; 'measured' if no coefficient is compared with a datasheet or an
-        earlier result; 'attention' for a warning; else 'healthy'.
+        sensor; 'unknown' for too little data, a wrong unit of measurement, exchanged sensors, or a
+        recording of motion or of a warm-up; 'failed' for an exceeded limit; 'unknown' for another
+        error, or if `is_decided` is False; 'measured' if no coefficient is compared with a
+        datasheet or an earlier result; 'attention' for a warning; else 'healthy'.
         """
         ids = {finding.id for finding in self.findings}
         severities = {finding.severity for finding in self.findings}
@@ -183,8 +184,8 @@ class Results:
         """The recommended length of a recording in s, and the terms for which it is recommended.
 
         The longer recording is expected to resolve each of these terms, or to show that the term is
-        too small to matter. None if a longer recording is not useful or would have to be longer
-        than 24 hours, or if the method is not 'likelihood'.
+        too small to matter. None if no longer recording of at most 24 hours is recommended, or if
+        the method is not 'likelihood'.
         """
         if self.method != 'likelihood':
             return None
@@ -239,9 +240,8 @@ class Results:
 
         Coefficients that could not be compared with an earlier result are absent. Allan deviations
         are compared with the earlier results, too. If an Allan deviation of an axis exceeds the
-        earlier one although no coefficient of this axis does, the comparison of the Allan deviation
-        with the largest excess is included. All verdicts are 'undecided' if the data at rest last
-        less than 20 s.
+        earlier one although no coefficient of this axis does, the comparison of one such Allan
+        deviation is included. All verdicts are 'undecided' if the data at rest last less than 20 s.
         """
         earlier_checks: list[Check] = []
         pairs = [(name, run.measured, self.measured) for name, run in self.baselines.items()]

@@ -102,8 +102,8 @@ def check_unit(results: Results, plan: Plan | None = None) -> UnitCheck:
     """Decide whether an IMU passes a plan, its datasheet and the comparison with earlier results.
 
     The decision is EXCEEDS if a limit is exceeded or an axis is broken. The data are unsuitable if
-    there are too few, if they have a wrong unit of measurement, or if the IMU moved or warmed up.
-    With unsuitable data, only limits of the plan can be exceeded.
+    there are too few, if they have a wrong unit of measurement, if the sensors are exchanged, or if
+    the IMU moved or warmed up. With unsuitable data, only limits of the plan can be exceeded.
 
     Without an exceeded limit, the decision is NOT_JUDGED if the data are unsuitable, if a finding
     makes the IMU or its data suspect, if a comparison with a limit is undecided, or if nothing was

@@ -169,9 +169,10 @@ def _plain_text(value: Any, spec: str) -> str:
 def _quantities_text(
     quantities: Sequence[Estimate], digits: int, units: str, spelled: Callable[[str], str]
 ) -> str:
-    """Return quantities of one kind as a range with its interval, such as '2 to 3 ug (1.5 to 4.1)'.
+    """Return quantities of one kind as a range with its interval.
 
-    If no value is known, the text states the largest upper limit, such as '< 3 deg/h'.
+    An example is '2.0 to 3.0 ug (1.5 to 4.1)'. If no value is known, the text states the largest
+    upper limit, such as '< 3.0 deg/h'.
     """
     values_si = [q.value for q in quantities if q.value is not None]
     intervals = [q.ci95 for q in quantities if q.ci95 is not None]

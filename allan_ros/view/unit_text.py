@@ -39,7 +39,7 @@ def limits_text(limits: Limits) -> str:
 def measured_text(measured: Estimate, limits: Limits) -> str:
     """Return a measured quantity as text in the unit of the limits, such as '< 3.20 deg/h'.
 
-    The text is '-' if neither a value nor an upper limit is known.
+    The text is '-' if the quantity is not resolved and has no upper limit.
     """
     number = _number_text(measured, limits)
     return f'{number} {limits.unit}' if limits.unit and number != NOTHING_KNOWN else number
@@ -69,8 +69,8 @@ def name_of(checks: Sequence[Check]) -> str:
 def checks_text(checks: Sequence[Check], plan: Plan) -> str:
     """Return measured quantities as text, each with its limits in the plan.
 
-    Axes of one sensor that have equal limits are named together. At most `SHOWN_CHECKS` quantities
-    are named; the others are counted.
+    Axes of one sensor with equal limits and notes are named together. At most `SHOWN_CHECKS` such
+    groups are named; the others are counted.
     """
     groups: dict[tuple[str, str, Limits, str], list[Check]] = {}
     for check in checks:

@@ -45,10 +45,11 @@ class Verdict:
     ----------
     level : 'healthy', 'attention', 'measured', 'unknown' or 'failed'
         'failed' for a broken sensor or an exceeded limit. 'unknown' for too little data, units that
-        are probably wrong, a recording of motion or of a warm-up, another error, or an undecided
-        comparison of N (of any term if N has no limit). 'measured' if no coefficient is compared
-        with a datasheet or an earlier run. 'attention' for a warning. 'healthy' in all other cases.
-        `Results.level` states which of these conditions is tested first.
+        are probably wrong, exchanged sensors, a recording of motion or of a warm-up, another error,
+        or an undecided comparison of N (of any term if N has no limit). 'measured' if no
+        coefficient is compared with a datasheet or an earlier run. 'attention' for a warning.
+        'healthy' in all other cases. `Results.level` states which of these conditions is tested
+        first.
     summary : str
         The most important reason for the level, or the precision of N, B and K.
     reasons : tuple of str

@@ -154,6 +154,14 @@ def test_a_measured_value_must_be_above_zero(tmp_path: Path) -> None:
         load_sensor(str(sheet))
 
 
+def test_a_measured_term_must_be_known(tmp_path: Path) -> None:
+    entry = {'value': 1.0, 'low': 0.9, 'high': 1.1, 'unit': 'deg/h'}
+    sheet = tmp_path / 'x1.yaml'
+    sheet.write_text(yaml.safe_dump({**SHEET, 'measured': [{'by': 'Y', 'gyro': {'X': entry}}]}))
+    with pytest.raises(AllanError, match="gyro: 'X' is unknown"):
+        load_sensor(str(sheet))
+
+
 def test_the_catalogue_names_who_measured(capsys: pytest.CaptureFixture[str]) -> None:
     measured = [one for name in sensor_names() for one in load_sensor(name).measured]
     assert len(measured) >= 5

@@ -296,8 +296,9 @@ def trends(results: Results, sensor: str, summary: SignalSummary | None) -> list
 def _over_time(summary: SignalSummary, values: Floats) -> Trend:
     """Return the means of ``values``, (bins, axes), over intervals of equal length.
 
-    The last interval of a recording may be shorter. A mean is NaN unless the number of used bins in
-    its interval is more than half of the bins of a full interval. A NaN separates two recordings.
+    The last interval of a recording may be shorter. A mean is NaN if its interval has too few used
+    bins with a value: at most half as many as a full interval has bins. A NaN separates two
+    recordings.
     """
     step = -(-len(summary.time_s) // MEANS)
     time_steps = np.diff(summary.time_s)

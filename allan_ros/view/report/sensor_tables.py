@@ -51,7 +51,7 @@ def model_html(axes: Axes) -> Iterator[str]:
 
 
 def filter_html(results: Results) -> str:
-    """Return an HTML table of imu.yaml: key and value of each number, and how it was computed.
+    """Return an HTML table of the noise parameters in imu.yaml, and how they were computed.
 
     If imu.yaml cannot be written, a note states the reason instead.
     """
