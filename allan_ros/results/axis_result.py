@@ -320,8 +320,8 @@ def fit(
     ----------
     curve : AxisCurve or (tau, adev)
         Averaging times in s, in any order, and Allan deviations in SI; two lists or arrays,
-        (points,). Points whose deviation is not a number from 1e-150 to 1e150 are ignored. About
-        four points per octave are used.
+        (points,). Points are ignored if the time is not between 1e-12 and 1e12, or if the deviation
+        is not between 1e-30 and 1e30. At most five points per octave are used.
     axis : str
         The axis of the curve, such as 'gyro_z', which determines the units of the coefficients.
     record : float, optional

@@ -137,7 +137,8 @@ class SegmentStatistics:
         z = self.known.groups[0].sums[axis]
         data = AxisData.of(self.known, axis)
         data = replace(data, used=self.known.octave >= self.lowest)
-        if not np.any(np.abs(z[1:]) > 0.0) or np.any(data.power[data.used] <= 0.0):
+        # the power is NaN if the samples are so large that their squares are infinite
+        if not np.any(np.abs(z[1:]) > 0.0) or not np.all(data.power[data.used] > 0.0):
             return None
         columns = data.columns(self.components)
         fit = data.solve(self.components, columns, tolerance=1e-2)
@@ -301,7 +302,7 @@ class _Sensor:
         return sum(max(fitted.gain, 0.0) for fitted in self.effects(time).values())
 
     def best_time(self) -> tuple[float, float]:
-        """Return the time constant in samples with the largest gain, and this gain.
+        """Return the best of the tried time constants, in samples, and its gain in -2 log L.
 
         Both are 0 if no trial value has a score of `PROMISING_SETTLING` or more.
         """
@@ -334,9 +335,9 @@ def settling(sums: AllanSums, known: Statistics, axes: Sequence[int]) -> SensorS
     """Return the settling of the axes of a sensor, or None if no tested recording shows one.
 
     The first segment with block means of each of the `TESTED_RECORDINGS` longest recordings is
-    tested, unless the segment is too short. The time constant is taken from the recording with the
-    largest gain. ``known`` are the statistics of the sums, and ``axes`` are the indices of the
-    axes.
+    tested, unless the segment is too short or none of the axes can be fitted. The time constant is
+    taken from the recording with the largest gain. ``known`` are the statistics of the sums, and
+    ``axes`` are the indices of the axes.
     """
     tau0 = sums.tau0 or 1.0
     longest_first = sorted(range(len(sums.recordings)), key=lambda i: -sums.recordings[i].samples)

@@ -47,7 +47,7 @@ class Errors(NamedTuple):
     information: Floats  # Fisher information of the coefficients, then of the shapes
 
     # covariance of the coefficients, which includes the uncertainty of the shapes; 0 for
-    # coefficients that are held at 0
+    # coefficients that are not in `Fit.free`
     covariance: Floats
     # for each fitted shape parameter: coefficient times standard error of the parameter's logarithm
     shape_errors: Mapping[Shape, float]
@@ -75,8 +75,8 @@ class Errors(NamedTuple):
 def axis_fit(selected: SelectedModel, tau0: float, brief: bool = False) -> AxisFit:
     """Return the result for one axis: its terms with intervals or limits, and its model, in SI.
 
-    ``tau0`` is the sample period in s. A ``brief`` recording is too short for drift: only N and Q
-    get values.
+    ``tau0`` is the sample period in s. A ``brief`` recording is too short for drift: B, K and R get
+    no values.
     """
     rules, data, start = selected.rules, selected.rules.data, selected.fit
     fit = data.solve(start.components, start.columns, start.p, signed=rules.signed)
@@ -134,6 +134,8 @@ def random_coefficient(
     term: Process, variance: float, error: float, interval: Interval, tau0: float
 ) -> Estimate:
     """Return the coefficient of a random term in SI, with its interval or its upper limit.
+
+    It has neither an interval nor a limit if the upper end of the interval is infinite.
 
     Parameters
     ----------

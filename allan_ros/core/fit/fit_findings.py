@@ -105,8 +105,8 @@ def axis_findings(sums: AllanSums, axis: int, fit: AxisFit, tau0: float) -> list
 def with_deviations(model: NoiseModel, curve: AllanCurve) -> NoiseModel:
     """Return a copy of the model with `AxisFit.deviation` computed from the measured curve.
 
-    A finding is added for each axis with a lack of fit. The finding states the octave with the
-    largest difference between data and model, and this difference.
+    A finding reports each axis with a lack of fit. The finding states the octave with the largest
+    relative difference between data and model, and this difference.
     """
     axes, new_findings = {}, []
     for i, name in enumerate(curve.axes):
@@ -205,7 +205,7 @@ def not_noise_findings(models: Sequence[NoiseModel], seconds: float) -> list[Fin
 def is_disturbed(fit: AxisFit, tau0: float, seconds: float) -> bool:
     """Return whether motion or vibration hides the noise of an axis.
 
-    The result is False if N has neither a value nor an upper limit.
+    The result is False if N is not resolved and has no upper limit.
 
     Parameters
     ----------
@@ -306,8 +306,8 @@ def recommended_duration(
     N is resolved, a longer recording is recommended if B or K is not resolved and the upper limit
     of this term is relevant or unknown. An upper limit is relevant if it exceeds the limit of the
     datasheet. Without such a limit, it is relevant if the term could contribute more than a quarter
-    of the Allan variance of the resolved terms at 100 s. A term is ignored if a recording of 24 h
-    would not resolve it.
+    of the Allan variance at 100 s that is due to N, B and K, as far as they are resolved. A term is
+    ignored if the length that resolves it exceeds 24 h, or does not exceed ``seconds``.
 
     The length is computed from N, and from B and K if they are resolved. The uncertain estimate of
     the unresolved term is not used, so that the advice is stable during a recording.

@@ -104,7 +104,7 @@ class SelectedModel(NamedTuple):
 
     @property
     def goodness(self) -> float | None:
-        """Chi-squared of all octaves, converted to a normal deviate; None without octaves.
+        """The result of `chi_squared`, converted to a normal deviate; None without octaves.
 
         The third root of chi^2 is nearly normal (Wilson & Hilferty, PNAS 17, 1931).
         """
@@ -257,11 +257,11 @@ def _down_weighted(rules: Selection, fit: Fit) -> tuple[Selection, Fit, dict[int
 
 
 def _highest_trial(rules: Selection) -> _Trial:
-    """Return the trial with the highest frequency for which the model passes all tests.
+    """Return the first trial that passes, from the highest frequency to lower frequencies.
 
-    A trial that does not use all frequencies passes only if the highest octave of the data has less
-    power than the white noise of the model. Frequencies at which a filter has removed much power
-    are skipped (`LOST_POWER`).
+    A trial passes if the model passes all tests. A trial that does not use all frequencies passes
+    only if also the highest octave of the data has less power than the white noise of the model.
+    Frequencies at which a filter has removed much power are skipped (`LOST_POWER`).
 
     After the first trial that nearly passes (`_TestResults.nearly_holds`), only a half and a
     quarter of the frequency of this trial are tried. If a low-pass filter is the cause, the model
@@ -298,10 +298,10 @@ def _highest_trial(rules: Selection) -> _Trial:
 def _bends_like_noise(rules: Selection) -> bool:
     """Return whether a fast Gauss-Markov process explains a spectrum that bends.
 
-    The process is fitted together with the random terms, which include white noise. Bins in which a
-    sinusoid dominates have nearly no weight in the fit. The result is True if the white noise
-    exceeds `WHITE_NOISE` standard errors, and if the ratio of the power above `FILTERED_FROM` to
-    the power of the fit exceeds `EXPLAINED`; with a low-pass filter, the ratio is smaller. This
+    The process is fitted together with the base components, which include white noise. Bins in
+    which a sinusoid dominates have nearly no weight in the fit. The result is True if the white
+    noise exceeds `WHITE_NOISE` standard errors, and if the ratio of the power above `FILTERED_FROM`
+    to the power of the fit exceeds `EXPLAINED`; with a low-pass filter, the ratio is smaller. This
     ratio is the median over the bins, on which a few sinusoids have no effect.
     """
     data = rules.data

@@ -50,8 +50,9 @@ Allan variance: 3 Q^2, N^2, (2 ln2/pi) B^2, K^2/3 and R^2/2 (Cong et al. 2019, e
 def fit_paper(sums: AllanSums) -> NoiseModel:
     """Fit sum A_p tau^p to the Allan variances of all axes (Cong et al. 2019).
 
-    A term whose A_p is negative has no value, and a finding reports the term. With data at fewer
-    averaging times than there are terms, no term has a value, and a finding reports this.
+    A term whose A_p is negative has no value, and a finding reports the term. If fewer averaging
+    times up to `LONGEST_TAU` have data than there are terms, no term has a value, and a finding
+    reports this.
 
     Raises
     ------
@@ -130,9 +131,9 @@ def fit_curve(tau: ArrayLike, adev: ArrayLike, record: float | None = None) -> A
     Parameters
     ----------
     tau : (points,) array
-        Averaging times in s, in any order. Times that are not finite or not above 0 are ignored.
+        Averaging times in s, in any order. Times that are not between 1e-12 and 1e12 are ignored.
     adev : (points,) array
-        Allan deviations in SI. Values that are not between 1e-150 and 1e150 are ignored.
+        Allan deviations in SI. Values that are not between 1e-30 and 1e30 are ignored.
     record : float, optional
         Length of the recording in s; by default, nine times the longest averaging time that is
         used.
@@ -145,7 +146,7 @@ def fit_curve(tau: ArrayLike, adev: ArrayLike, record: float | None = None) -> A
     Raises
     ------
     AllanError
-        If fewer than `LEAST_POINTS` points remain after about four valid points per octave are
+        If fewer than `LEAST_POINTS` points remain after at most five valid points per octave are
         chosen. Also if ``record`` is not finite or is shorter than twice the longest averaging time
         of these points.
 
@@ -183,11 +184,12 @@ def fit_curve(tau: ArrayLike, adev: ArrayLike, record: float | None = None) -> A
 
 
 def _decimated(tau: Floats, adev: Floats) -> tuple[Floats, Floats]:
-    """Return averaging times, ascending, and Allan variances of about 4 valid points per octave.
+    """Return averaging times, ascending, and Allan variances of up to 5 valid points per octave.
 
     Raises AllanError if fewer than `LEAST_POINTS` points remain.
     """
-    is_valid = np.isfinite(tau) & (tau > 0.0) & (adev > 1e-150) & (adev < 1e150)
+    # with these limits, no product of powers in the fit overflows
+    is_valid = (tau > 1e-12) & (tau < 1e12) & (adev > 1e-30) & (adev < 1e30)
     order = np.argsort(tau[is_valid])
     tau, avar = tau[is_valid][order], adev[is_valid][order] ** 2
     if len(tau):

@@ -133,7 +133,7 @@ class LowBand(NamedTuple):
     segments: int  # number of segments
     # (contrasts, contrasts) sum over the segments of z z^T, where z are the contrasts of a segment
     gram: Floats
-    points: int = 0  # number of block means of each segment
+    points: int = 0  # number of block means of each segment; 0 if there is only one group
 
 
 @dataclass(frozen=True, eq=False)
@@ -282,9 +282,9 @@ class AxisData:
     ) -> Fit:
         """Return the maximum of the likelihood over the coefficients of some components.
 
-        If the search has not converged after ``rounds`` steps, the result of the last step is
-        returned. The value of the result is infinite if the expected power or covariance at the
-        coefficients to start from is not positive.
+        If the search has not converged after ``rounds`` steps, or if no further step decreases
+        -2 log L, the result of the last step is returned. The value of the result is infinite if
+        the expected power or covariance at the coefficients to start from is not positive.
 
         Parameters
         ----------

@@ -309,8 +309,9 @@ def _lasting_change(levels: PeriodLevels, axis: int, least_samples: float) -> in
     """Return the index of the first period after the last change of N with enough later data.
 
     A change is ignored if it is followed by fewer than ``least_samples`` samples, or if N of all
-    later data differs from the usual N before the change by no more than `LEAST_CHANGE`. The result
-    is None if no change remains.
+    later data differs from the usual N before the change by no more than `LEAST_CHANGE`. The search
+    then continues before this change. The result is None if `PeriodLevels.last_change` finds no
+    further change.
     """
     change = levels.last_change(axis)
     while change is not None and (
@@ -326,7 +327,7 @@ def present_part(sums: AllanSums, levels: PeriodLevels) -> tuple[int, tuple[int,
     Both results are indices. An axis has changed if N of the axis changed by more than
     `LEAST_CHANGE` at the start of this period. A change is ignored if the data after the change
     last less than `LEAST_LAST_S`, or less than the share `LEAST_LAST_PART` of all data. An earlier
-    change of the axis may then be used. The result is None if no change remains.
+    change of the axis may then be used. The result is None if no change is used.
     """
     total = levels.samples.sum()
     least_samples = max(LEAST_LAST_S / (sums.tau0 or 1.0), LEAST_LAST_PART * total)
@@ -421,8 +422,9 @@ def innovation_levels(
 ) -> PeriodLevels:
     """Return the level of the drift in each block mean except the first mean of each segment.
 
-    Segments with fewer than `LEAST_MEANS` block means are omitted. The level of a block mean is the
-    square of its innovation, with one degree of freedom. The levels of an axis and their degrees of
+    Block means of one length are used, at most `MOST_MEANS` per segment. Segments with fewer than
+    `LEAST_MEANS` of them are omitted. The level of a block mean is the square of its innovation,
+    with one degree of freedom. The levels of an axis and their degrees of
     freedom are 0 if the model of the axis has no drift, if the mean share of the drift in the
     variance of the innovations is below `LEAST_SHARE`, or if nearly all power of the model is at
     the frequencies of sinusoids.
@@ -464,7 +466,7 @@ def innovation_levels(
 
 
 def _prediction(fit: AxisFit, tau0: float, step: int, number: int) -> tuple[Floats, Floats]:
-    """Return the matrix that whitens successive block means, and the shares of the drift.
+    """Return the matrix that whitens differences of block means, and the shares of the drift.
 
     The matrix, (number, number), is the inverse Cholesky root of the covariance of the differences
     between ``number`` + 1 neighboring means over ``step`` samples. Differences are predicted,

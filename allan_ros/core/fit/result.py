@@ -282,7 +282,7 @@ class Region:
         Ends of the range in s.
     term : str
         Term or process with the largest share of the Allan variance. If no term or process
-        dominates over a factor of 3 in tau, several names are joined by '+'.
+        dominates over a factor of 3 in tau, this can be several names, joined by '+'.
     """
 
     tau_low: float

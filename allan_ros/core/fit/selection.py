@@ -84,8 +84,8 @@ class Selection:
     shortest : float
         Shortest correlation time of an added process without a frequency, in samples.
     fastest : float
-        Highest frequency of the candidates for a sinusoid or a resonance, in cycles per sample. The
-        frequency of a selected process is refined, and can be higher.
+        Upper limit of the frequencies of the candidates for a sinusoid or a resonance, in cycles
+        per sample. The frequency of a selected process is refined, and can be higher.
     """
 
     data: AxisData
@@ -136,7 +136,10 @@ class Selection:
         return self.with_reduced_sinusoid_weights(reduced)
 
     def _with_one_more(self, fit: Fit) -> Fit | None:
-        """Return the fit with the best further process, or None if no gain exceeds a threshold."""
+        """Return the fit with the best further process, or None if no process is added.
+
+        A process is added only if its gain exceeds its threshold.
+        """
         matrices, is_aliased = LowBandFit.all_of(self.data, fit), self._aliased(fit)
         larger_fits: list[Fit] = []
         for kind in self.candidates.kinds:

@@ -270,8 +270,8 @@ def _level_finding(
 def level_findings(sums: AllanSums, levels: PeriodLevels, model: NoiseModel) -> list[Finding]:
     """Return a finding for each axis with a resolved N that varies between the periods.
 
-    The ratio of the highest to the lowest N must exceed `LEVEL_RATIO`. It must exceed `LARGE_RATIO`
-    if the scatter between neighboring periods may explain the variation.
+    The ratio of the highest to the lowest N in parts of the data must exceed `LEVEL_RATIO`. It must
+    exceed `LARGE_RATIO` if the scatter between neighboring periods may explain the variation.
     """
     place = 'between recordings' if len(sums.recordings) > 1 else 'within the recording'
     findings = []

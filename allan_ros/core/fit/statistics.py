@@ -119,7 +119,7 @@ def _kernels() -> tuple[Floats, Floats]:
 
     The autocovariances are gamma(M, j) (`Process.gamma`) at the lags j = 0, 1, ... The first matrix
     is for the bins of all octaves that are computed from samples. The second matrix is for the bins
-    of one octave that is computed from block means.
+    of one octave that is computed from means of samples.
     """
 
     def kernel(octave_index: int) -> Floats:

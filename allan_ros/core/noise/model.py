@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
@@ -114,9 +115,10 @@ class Model:
         for name, value in terms.items():
             if name not in [*LETTERS]:
                 raise AllanError(f'there is no term {name!r}: give {", ".join(LETTERS)}')
-            if not math.isfinite(value) or (value < 0.0 and name != 'R'):
+            # an integer above the largest float is not finite, too
+            if not abs(value) <= sys.float_info.max or (value < 0.0 and name != 'R'):
                 allowed_range = '' if name == 'R' else ' of 0 or above'
-                raise AllanError(f'{name} is {value}: give a finite number{allowed_range}')
+                raise AllanError(f'{name} is {value!s:.40}: give a finite number{allowed_range}')
         parts = [Part(BY_LETTER[name], terms[name]) for name in LETTERS if terms.get(name)]
         parts += [Part(process, value) for value, process in processes if value]
         return cls(tuple(parts))
@@ -127,7 +129,8 @@ class Model:
         The result is 0 if the model does not contain the term, or another process replaces it.
         Raises KeyError for another letter.
         """
-        return sum((p.value for p in self.parts if p.process == BY_LETTER[letter]), 0.0)
+        term = BY_LETTER[letter]
+        return sum((part.value for part in self.parts if part.process == term), 0.0)
 
     def changed(self, **terms: float) -> Model:
         """Return the model with other coefficients of some terms (``N=1e-3``), in SI.
@@ -185,7 +188,7 @@ class Model:
 
     @property
     def drift(self) -> Model:
-        """The model of all noise whose integral grows with time, and of slow sinusoids.
+        """The model of all processes whose integral grows with time, and of slow sinusoids.
 
         Sinusoids above 0.1 Hz and other processes whose integral is bounded, such as quantization
         noise, are excluded. A resonance is replaced by white noise with the same density at 0 Hz.

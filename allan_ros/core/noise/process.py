@@ -115,9 +115,9 @@ class Search:
 class Process:
     """A noise process with the coefficient 1.
 
-    A subclass is a frozen dataclass in a module of `allan_ros.core.noise.processes`. The fields of
-    the subclass are the shape parameters, for example a correlation time. The values of these
-    parameters are the shape of the process. A subclass must define `gamma`, and either `states` or
+    The noise processes of a model are frozen dataclasses in `allan_ros.core.noise.processes`. Their
+    fields are the shape parameters, for example a correlation time. The values of these parameters
+    are the shape of the process. Each of these classes has `gamma`, and either `states` or
     `no_states`.
     """
 
@@ -253,7 +253,7 @@ class Process:
         return False
 
     def is_broad_near(self, highest: float) -> bool:
-        """Return whether the process can imitate a low-pass filter that bends the spectrum.
+        """Return whether the process is a broad resonance that can imitate a low-pass filter.
 
         ``highest`` is the highest frequency of the fit in cycles per sample, near which a filter
         bends the spectrum.
@@ -261,7 +261,7 @@ class Process:
         return False
 
     def limit(self, search: Search) -> Process:
-        """Return a simpler process if the shape is at a limit of the search, else this process."""
+        """Return a sinusoid for a resonance that is too narrow for a search, else this process."""
         return self
 
     def alias_variance(self, step: int) -> float:

@@ -9,11 +9,11 @@ from support.sums import sums_of
 
 from allan_ros.core.allan.sums import AllanSums
 from allan_ros.core.errors import AllanError
-from allan_ros.core.fit.least_squares import fit_paper
+from allan_ros.core.fit.least_squares import fit_curve, fit_paper
 from allan_ros.core.fit.result import TERMS
 from allan_ros.core.fit.stationary import fit_stationary
 from allan_ros.core.imu import from_datasheet
-from allan_ros.core.noise import Model
+from allan_ros.core.noise import FLICKER_FLOOR, Model
 from allan_ros.core.simulator import simulate_axis
 from allan_ros.view.finding_text import texts_of
 
@@ -95,3 +95,18 @@ def test_unknown_methods_and_empty_sums_are_rejected(white):
         fit_stationary(white, 'magic')
     with pytest.raises(AllanError, match='at least two samples'):
         fit_paper(AllanSums.empty())
+
+
+@pytest.mark.parametrize('adev', [1e-29, 1e29])
+@pytest.mark.parametrize('tau', [(1.1e-12, 1e-9), (1e-12, 1e12), (1e9, 9e11)])
+def test_a_curve_of_extreme_numbers_is_fitted(tau, adev):
+    taus = np.geomspace(*tau, 200)
+    fit = fit_curve(taus, np.full(len(taus), adev))
+    assert fit.noise['B'].value == pytest.approx(adev / math.sqrt(FLICKER_FLOOR), rel=1e-3)
+
+
+def test_a_curve_of_impossible_numbers_has_no_points():
+    tau = np.geomspace(1.0, 1000.0, 40)
+    for curve in ((tau * 1e180, tau), (tau * 1e-200, tau), (tau, tau * 1e149), (tau, tau * 1e-150)):
+        with pytest.raises(AllanError, match='0 usable points'):
+            fit_curve(*curve)

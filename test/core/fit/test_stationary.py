@@ -243,3 +243,9 @@ def test_impulsive_noise_has_a_constant_level() -> None:
     used, _ = fit_stationary(sums)
     assert used is sums
     assert not changes(sums)
+
+
+@pytest.mark.filterwarnings('ignore::RuntimeWarning')
+def test_samples_whose_squares_are_infinite_have_no_values() -> None:
+    _, model = fit_stationary(sums_of(1e200 * draw(11, 4000, 10.0), rate=10.0))
+    assert all(c.value is None for fit in model.axes.values() for c in fit.noise.values())

@@ -75,10 +75,18 @@ def test_a_model_at_the_ends_of_its_intervals():
     assert model['gauss_markov'] == (part,) and model.shaped.parts == (part, line)
 
 
-@pytest.mark.parametrize('bad', [{'N': -1.0}, {'K': math.nan}, {'R': math.inf}, {'X': 1.0}])
+@pytest.mark.parametrize(
+    'bad', [{'N': -1.0}, {'K': math.nan}, {'R': math.inf}, {'R': 10**400}, {'X': 1.0}]
+)
 def test_impossible_coefficients_are_refused(bad):
     with pytest.raises(AllanError):
         Model.of(**bad)
+
+
+@pytest.mark.parametrize('model', [Model(), Model.of(N=1.0)])
+def test_the_coefficient_of_an_unknown_term_is_refused(model):
+    with pytest.raises(KeyError):
+        model.value('X')
 
 
 @given(st.floats(2.0, 50.0), st.floats(1.0, 20.0))

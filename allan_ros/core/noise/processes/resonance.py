@@ -26,7 +26,7 @@ class Resonance(Process):
     """Second-order process of unit variance: a damped oscillation of random phase.
 
     The autocovariance at the lag t is exp(-t/T) cos(2 pi f t). A fit replaces the resonance by a
-    sinusoid if the bandwidth is at most a third of the width of a bin.
+    sinusoid if the bandwidth is at most about a third of the width of a bin.
     """
 
     name = 'resonance'

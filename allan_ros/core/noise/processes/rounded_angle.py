@@ -29,9 +29,9 @@ class RoundedAngle(Process):
     A counter measures an angle (or a velocity) in whole steps and carries the remainder to the next
     sample. The rounding error is a sawtooth function of the angle. If the angle increases by a mean
     of f steps per unit of time, with white noise, the autocovariance of the error at the lag t is
-    6/pi^2 times the sum of exp(-n^2 t/T) cos(2 pi n f t)/n^2 over n = 1, 2, ... The time T is
-    step^2/(2 pi^2 N^2), or shorter if the mean rate drifts. If T is far below the sample period,
-    the errors are white, and the process is quantization noise.
+    6/pi^2 times the sum of exp(-n^2 t/T) cos(2 pi n f t)/n^2 over n = 1, 2, ... The time T is at
+    most step^2/(2 pi^2 N^2), and shorter if the mean rate drifts. If T is far below the sample
+    period, the errors are white, and the process is quantization noise.
 
     The series follows from the Fourier series of the sawtooth, and from the characteristic function
     of a Gaussian change of the angle (B. Widrow and I. Kollar, Quantization Noise, 2008).
