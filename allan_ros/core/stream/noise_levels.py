@@ -79,7 +79,7 @@ class NoiseLevel:
 
     @property
     def result(self) -> StreamSums:
-        """The Allan sums and the longest segments of this level."""
+        """The Allan sums of this level, and the longest of its segments that have ended."""
         sums = replace(self._engine.sums, replaced=self._replaced.table)
         return StreamSums(sums, self._segments.items)
 
@@ -203,7 +203,7 @@ class NoiseLevels:
         )
 
     def replace_present(self, floor: NoiseFloor, reason: Literal['moving', 'stuck']) -> None:
-        """Discard the present level, which was not noise at rest, and begin another level."""
+        """Discard the present level, whose samples are not usable, and begin another level."""
         if not self.is_tried and self.present.samples:
             self._drops += 1
             self._last_ns = self.present.last_ns
@@ -221,7 +221,8 @@ class NoiseLevels:
             self._dropped.add(self.present.counted_as(self.change))
         else:
             if self.other is not None:
-                if self._precedes_present(self.other):
+                is_first = not self.present.samples or self._precedes_present(self.other)
+                if self.other.samples and is_first:
                     self._drops += 1
                     self._last_ns = self.other.last_ns
                 self._dropped.add(self.other.counted_as(self._other_is))
@@ -255,7 +256,7 @@ class NoiseLevels:
         self._forget_ratios()
 
     def add_increase(self, ratio: Floats) -> None:
-        """Update ``largest_ratio`` with ratios of increased noise to the noise floor, (axes,)."""
+        """Update ``largest_ratio`` with ratios of the noise to the noise floor, (axes,)."""
         self.largest_ratio = np.maximum(self.largest_ratio, ratio)
 
     def add_decrease(self, variance: Floats, decreased: Flags, floor: Floats) -> None:
@@ -270,11 +271,13 @@ class NoiseLevels:
         self.smallest_ratio[has_decreased] = np.minimum(self.smallest_ratio[has_decreased], ratio)
 
     def _precedes_present(self, level: NoiseLevel | None) -> bool:
-        """Return whether ``level`` has an earlier first sample than the present level.
+        """Return whether ``level`` has an earlier first stamp than the present level.
 
         The result is False if ``level`` is None, or if one of the two levels has no samples.
         """
-        return level is not None and level.samples > 0 and level.first_ns < self.present.first_ns
+        if level is None or not (level.samples and self.present.samples):
+            return False
+        return level.first_ns < self.present.first_ns
 
     def _forget_ratios(self) -> None:
         """Reset the ratios, because they are ratios to a former noise floor."""

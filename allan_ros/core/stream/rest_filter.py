@@ -51,8 +51,8 @@ CHANGED_DIRECTION, NO_ROTATION = np.radians(30.0), np.radians(6.0)
 changes by more than the first angle, while the gyro measures a rotation by less than the second."""
 
 REPLACED_SHOCK_SHARE = 0.5
-"""Largest number of samples of shocks that are replaced in a segment, as a fraction of its samples
-at rest up to that time."""
+"""Largest number of samples of shocks that are replaced, as a fraction of the samples at rest. Both
+numbers begin at 0 after a gap or a change of the noise level."""
 
 MARGIN_BEFORE, MARGIN_AFTER_S = 1, 2.0
 """Number of windows at rest before a motion, and time in s at rest after a motion, that are
@@ -126,9 +126,10 @@ def _is_isolated(deviates: Flags, i: int) -> bool:
 
 
 class RestLevel:
-    """Means of the last windows at rest in a segment, and numbers of samples of the segment.
+    """Means of the last windows at rest, and numbers of samples.
 
-    ``rest`` is the number of samples at rest, and ``replaced`` the number of replaced samples.
+    ``rest`` is the number of samples at rest, and ``replaced`` the number of replaced samples of
+    shocks, both since the last gap or change of the noise level.
     """
 
     def __init__(self) -> None:
@@ -152,8 +153,8 @@ class RestLevel:
 class Motion:
     """A motion that begins at the stamp ``began_ns`` in ns, and its windows up to now.
 
-    ``kind`` is the kind of the `Event` of the motion. ``level`` contains the means of the segment
-    before the motion, and is None if the motion is known to be no shock.
+    ``kind`` is the kind of the `Event` of the motion. ``level`` contains the means before the
+    motion, and is None if the motion is known to be no shock.
     """
 
     def __init__(self, kind: str, began_ns: int, level: RestLevel | None = None) -> None:
@@ -189,7 +190,7 @@ class Motion:
         """Return the change of the mean of each axis due to the motion, (axes,).
 
         The change is in the unit of the samples. It is 0 if noise explains the change, and NaN for
-        all axes if there are fewer than `LEAST_LEVEL` windows before or after the motion.
+        all axes if fewer than `LEAST_LEVEL` windows before or after the motion can be compared.
         """
         counts = len(self.before), min(self.quiet, len(self._after))
         if min(counts) < LEAST_LEVEL:
@@ -204,8 +205,9 @@ class Motion:
     def finds_other_axes(self, floor: NoiseFloor, period_s: float) -> bool:
         """Return whether this call is the first that finds changed axes of the accelerometer.
 
-        The axes changed if gravity has another direction in the steady windows at the end than
-        before the motion, although the gyro has measured no rotation since the motion began.
+        The axes changed if gravity has another direction (`CHANGED_DIRECTION`) in the last steady
+        windows than before the motion, although the gyro has measured no rotation (`NO_ROTATION`)
+        since the motion began. The result is False if a sensor has fewer than three axes.
         """
         gyro, counts = floor.gyro, (len(self.before), min(self.steady, len(self._after)))
         if self.axes_changed or min(counts) < LEAST_LEVEL:
@@ -223,14 +225,16 @@ class Motion:
     def replaced(self, held: list[ImuBatch], floor: NoiseFloor, period_s: float) -> list[ImuBatch]:
         """Return the windows of a shock with replaced samples; empty if the motion is no shock.
 
-        The result is also empty if the replaced samples of the segment would exceed the share
-        `REPLACED_SHOCK_SHARE` of its samples at rest.
+        The result is also empty if too many samples would be replaced (`REPLACED_SHOCK_SHARE`), or
+        if no window at rest directly precedes the motion.
 
-        ``held`` contains the last window before the motion and all windows of the motion. Of the
+        ``held`` contains this window, if there is one, and all windows of the motion. Of the
         quiet windows at the end, only the first is replaced. The replaced windows are returned as
         one block, which is followed by the other windows.
         """
         if self.level is None or self.change(floor).any():
+            return []
+        if len(held) == self.windows:  # another motion ended directly before
             return []
         # means of the quiet windows at the end, except the first, whose samples are also replaced
         means_after = list(self._after)[1 - self.quiet :]
@@ -253,9 +257,9 @@ class Motion:
 
 
 class RestFilter:
-    """Passes on windows at rest, and excludes or replaces the others.
+    """Passes on windows at rest, and excludes or replaces motions with the windows next to them.
 
-    Windows at rest are added to the present noise level of ``levels``. The noise floor of this
+    The passed windows are added to the present noise level of ``levels``. The noise floor of this
     level decides which windows are at rest. ``size`` is the number of samples in a window.
     ``motion`` is the present motion or None, and ``stuck``, (axes,), flags axes that repeated one
     value. ``levels``, ``events`` and ``splits`` (number of splits by reason) are changed in place.
@@ -334,7 +338,7 @@ class RestFilter:
         return is_at_rest, found
 
     def end_segment(self) -> None:
-        """Pass on or exclude the windows that are held, because a gap follows."""
+        """Pass on or exclude the windows that are held, because the segment ends."""
         self.drop_shock()
         self._pass_held()
 
@@ -357,7 +361,7 @@ class RestFilter:
         self.motion, self._cut = None, split_reason
 
     def drop_shock(self) -> None:
-        """Exclude the windows of the present motion, if any, because the motion is no shock."""
+        """Exclude the windows held for the present motion, if any, because it is no shock."""
         motion = self.motion
         if motion is not None and motion.level is not None:
             self._counts.moving += sum(map(len, self._held))

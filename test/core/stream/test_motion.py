@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The motion gate: motion is excluded, stationary noise is not."""
 
+import itertools
 from functools import partial
 
 import numpy as np
@@ -201,6 +202,16 @@ def test_a_turn_is_motion_though_it_is_smooth_or_all_means_are_as_before():
     assert gate(short)[1].splits == {'motion': 1}
 
 
+def test_a_shock_directly_after_a_motion_does_not_hide_the_split():
+    rows = white(120)
+    rows[2, 7_000 : 7_000 + RATE] += np.radians(5.0)  # excluded up to sample 7700
+    rows[3, 7_700:7_740] += shock(3)[3]
+    out, counts, passed = gate(rows)
+    assert counts.shocks == 0 and not passed[7_000:7_740].any() and passed[8_200:].all()
+    follows_gap = [a.stamps_ns[-1] + 1 != b.stamps_ns[0] for a, b in itertools.pairwise(out)]
+    assert [bool(b.cut) for b in out[1:]] == follows_gap and sum(follows_gap) == 1
+
+
 def states(rows):
     """Return 'noise_increased' or 'moving' or 'at_rest' after each second."""
     *_, events, stage_of = start()
@@ -275,3 +286,24 @@ def test_the_discarded_time_is_known_before_the_accepted_level_has_samples():
     assert levels.lost == 1 and levels.lost_s == pytest.approx(0.99)
     levels.present.add(ImuBatch.of_rows(1040 * 10**9 + np.arange(100) * 10**7, rows))
     assert levels.lost == 2 and levels.lost_s == 40.0
+
+
+def test_a_level_is_discarded_data_also_if_the_next_level_never_had_samples():
+    levels = NoiseLevels(partial(NoiseLevel, ImuIdentity(), AXES))
+    rows = np.random.default_rng(0).normal(size=(6, 100))
+    levels.present.add(ImuBatch.of_rows(1000 * 10**9 + np.arange(100) * 10**7, rows))
+    for _ in range(2):
+        levels.try_another(levels.present.floor, 'noise_increased', 0)
+        levels.accept()
+    assert levels.lost == 1 and levels.lost_s == pytest.approx(0.99)
+
+
+def test_a_level_with_negative_stamps_is_counted_when_the_later_level_has_samples():
+    levels = NoiseLevels(partial(NoiseLevel, ImuIdentity(), AXES))
+    rows = np.random.default_rng(0).normal(size=(6, 100))
+    levels.present.add(ImuBatch.of_rows(-(10**12) + np.arange(100) * 10**7, rows))
+    levels.try_another(levels.present.floor, 'noise_increased', 0)
+    levels.accept()
+    assert levels.lost == 0
+    levels.present.add(ImuBatch.of_rows(-(10**11) + np.arange(100) * 10**7, rows))
+    assert levels.lost == 1
