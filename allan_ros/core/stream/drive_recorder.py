@@ -118,7 +118,7 @@ class DriveRecorder:
         self._raw.extend(block for block in blocks if len(block))
 
     def add_rests(self, blocks: Iterable[ImuBatch]) -> None:
-        """Add the samples at rest, all of which `add_samples` has received before."""
+        """Add the samples at rest; `add_samples` has received the same stamps before."""
         for block in blocks:
             if not len(block):
                 continue
@@ -132,7 +132,7 @@ class DriveRecorder:
 
     @property
     def complete(self) -> Drives:
-        """Errors of the drives whose second rest is over or long enough."""
+        """The drives whose second rest is over or long enough, and the unused drives so far."""
         return Drives(tuple(self._drives), Counter(self._unused))
 
     @property
@@ -148,7 +148,7 @@ class DriveRecorder:
         return Drives(drives, unused)
 
     def _begin_rest(self, block: ImuBatch) -> None:
-        """End the previous rest and the drive after that rest: ``block`` begins a new rest."""
+        """End the previous rest, and the drive after it, if any: ``block`` begins a new rest."""
         self._complete()
         begin_ns = int(block.stamps_ns[0])
         first_rest = self._mean(self._last, latest=True)
@@ -187,7 +187,7 @@ class DriveRecorder:
             self._complete()
 
     def _complete(self) -> None:
-        """Add the pending drive, if any, because its second rest is over or long enough."""
+        """Use or reject the pending drive, if any: its second rest is over or long enough."""
         if self._drive is None:
             return
         drive, self._drive = self._drive, None
@@ -199,7 +199,7 @@ class DriveRecorder:
         self._follows = True
 
     def _errors(self, pending: _Pending, second_rest: Rest) -> DriveErrors:
-        """Return the errors of a drive, computed from its samples averaged down to `MOST_RATE`."""
+        """Return the errors of a drive, whose samples are averaged down to at most `MOST_RATE`."""
         rows, k = pending.rows, max(math.ceil(1.0 / (self._tau0 * MOST_RATE) - 1e-9), 1)
         # up to k - 1 samples at the end of the drive are omitted; the IMU is already at rest then,
         # because the detected rest begins some time after the motion
@@ -212,7 +212,7 @@ class DriveRecorder:
     def _mean(self, parts: Iterable[Floats], latest: bool = False) -> Rest | None:
         """Return the means of samples of a rest; None if the rest is shorter than `LEAST_STOP_S`.
 
-        With ``latest``, only the samples in the last `REST_S` seconds are averaged.
+        With ``latest``, at most the samples in the last `REST_S` seconds are averaged.
         """
         rows = np.concatenate([np.empty((0, len(AXES))), *parts])
         rows = rows[-self._rest_samples :] if latest else rows

@@ -132,9 +132,8 @@ class Event(NamedTuple):
 
     ``kind`` is 'shock', 'motion', 'stuck' (an axis repeats one value), 'noise_increased' (the noise
     increased at rest) or 'noise_decreased' (the noise of an axis became much smaller, or the axis
-    was clipped). ``changes`` maps each axis whose mean changed by more than its noise explains to
-    the change of the mean, in the unit of the samples. A changed mean of the accelerometer
-    indicates a tilt.
+    was clipped). ``changes`` maps axes to changes of the mean that noise does not explain, in the
+    unit of the samples. A changed mean of the accelerometer indicates a tilt.
     """
 
     kind: str
@@ -266,7 +265,7 @@ def events(health: StreamHealth) -> Counter[str]:
 def event_findings(counts: Counter[str], health: StreamHealth, when: str = '') -> list[Finding]:
     """Return a finding for each event with a count above 0; ``counts`` has finding ids as keys.
 
-    ``when``, such as ' in the last 20 s', is appended to the text of the findings.
+    ``when``, such as ' in the last 20 s', is inserted into the text of the findings.
     """
     numbers: dict[str, Any] = {
         'frame_id': health.frame_id,
@@ -285,7 +284,7 @@ def stream_findings(
 ) -> list[Finding]:
     """Return the findings about a stream, and about its Allan sums ``sums``.
 
-    If a present fault has the id of a finding about the whole stream, only the fault is returned.
+    A finding about ``health`` is omitted if a present fault has the same id.
     """
     c = health.counts
     findings = [*event_findings(events(health), health), *health.faults]
@@ -371,7 +370,7 @@ def _is_accel(axis: str) -> bool:
 
 
 def _times(events: list[Event], health: StreamHealth) -> str:
-    """Return a text with the times of at most three events in s since the first sample.
+    """Return a text with the times of at most three events in s since ``health.first_ns``.
 
     The text ends with the number of further events, if there are any.
     """

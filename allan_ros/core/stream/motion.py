@@ -86,13 +86,11 @@ class MotionGate:
     """Detects motion, and keeps only the samples at rest.
 
     The gate divides the samples into windows, removes spikes, and learns the noise floor, with
-    which `RestFilter` decides whether a window is at rest. For example, a window is moving if its
-    standard deviation is more than ``settings.motion_ratio`` times the noise floor, or if its mean
-    angular rate differs from the rate at rest by more than ``settings.rate_limit`` and more than
-    noise explains. After every `CHECKED_WINDOWS` windows, a new noise level begins, or the other
-    stored noise level continues, if it fits the latest windows better than the present level.
-    ``period_ns`` is the sample period in ns. ``levels``, ``events``, and the numbers of spikes and
-    splits in ``counts`` are changed in place.
+    which `RestFilter` decides whether a window is at rest. ``settings`` determine the largest noise
+    and the largest change of the angular rate at rest (`NoiseFloor.limits_of`). At regular checks,
+    the gate decides whether the present noise level continues, a new noise level begins, or the
+    other stored noise level continues. ``period_ns`` is the sample period in ns. ``levels``,
+    ``events``, and the numbers of spikes and splits in ``counts`` are changed in place.
     """
 
     def __init__(
@@ -135,7 +133,7 @@ class MotionGate:
 
     @property
     def _clipped(self) -> tuple[Finding, ...]:
-        """A finding for each axis that is clipped now, but not in the published Allan sums."""
+        """Findings about axes that are clipped now, but were not when the published level began."""
         floor, published_floor = self._levels.present.floor, self._levels.published.floor
         if floor is None or published_floor is None:
             return ()
@@ -175,8 +173,9 @@ class MotionGate:
         """Axis -> largest ratio of its noise at rest to the noise floor.
 
         The ratios of all axes are computed when the noise of any axis has increased. Only ratios
-        above 1 are included. The ratios are reset when changed noise counts as normal, or when the
-        present noise level is discarded because it was not noise at rest.
+        above 1 are included. The ratios are reset when changed noise counts as normal
+        (`NoiseLevels.accept`), or when the samples of the present noise level turn out to be
+        unusable (`NoiseLevels.replace_present`).
         """
         return self._named(self._levels.largest_ratio)
 
@@ -231,7 +230,7 @@ class MotionGate:
         return self._rest.take()
 
     def flush(self) -> list[ImuBatch]:
-        """Process all buffered samples at the end of the input, and return the samples at rest."""
+        """Process all buffered samples, after which none follow, and return the samples at rest."""
         if self._learning:
             self._learn()
         self._flush_pending()
@@ -264,7 +263,7 @@ class MotionGate:
     # --- windows ----------------------------------------------------------------------------------
 
     def _add(self, block: ImuBatch) -> None:
-        """Classify the complete windows of the buffered samples and the next block."""
+        """Add a block, and classify the windows that `SPIKE_NEIGHBORS` further samples follow."""
         if block.cut:
             self._flush_pending()
         buffered = joined([self._pending, block])
@@ -273,7 +272,7 @@ class MotionGate:
         self._pending = buffered.part(slice(ready, None), '' if ready else buffered.cut).copy()
 
     def _flush_pending(self) -> None:
-        """Classify the buffered samples, because a gap follows, and pass on samples at rest."""
+        """Classify all buffered samples before a gap or the end, and pass on samples at rest."""
         remaining, self._pending = self._pending, self._pending.part(slice(0))
         while len(remaining) and self._levels.present.floor is not None:
             size = min(len(remaining), self.size)
@@ -285,7 +284,7 @@ class MotionGate:
     def _classify(self, buffered: ImuBatch, end: int, size: int) -> None:
         """Classify the samples before the index ``end``, in windows of ``size`` samples.
 
-        If no other level can fit the windows better, and if all windows up to the end of the block
+        If no other level can fit the windows better, and if all of them up to the end of the block
         (`BLOCK_WINDOWS`) are at rest, they are classified together. Otherwise, only the windows up
         to the next check are classified together, because the check may begin another level.
         """
@@ -311,7 +310,7 @@ class MotionGate:
 
     @property
     def _is_settled(self) -> bool:
-        """Whether the IMU is at rest, and there is no other level that windows may belong to."""
+        """Whether no motion is present, no other level is stored, and each axis has noise."""
         is_only_level = self._levels.other is None and bool(self._rest.floor.variance.all())
         return is_only_level and self._rest.motion is None
 
@@ -360,9 +359,9 @@ class MotionGate:
 
         ``is_unchanged`` tells whether the present level is known to fit best.
 
-        Changed noise may be the noise of the IMU from now on, or be due to a fault. It is regarded
-        as normal when it has lasted longer than the earlier noise, and, if the noise decreased, for
-        at least `FAULTY_S`.
+        Changed noise may be the noise of the IMU from now on, or be due to a fault. A noise level
+        on trial is accepted if it has more samples than the earlier level, and, if the noise
+        decreased, has lasted for at least `FAULTY_S`.
         """
         levels = self._levels
         is_fault = levels.change == 'noise_decreased'
@@ -445,7 +444,10 @@ class MotionGate:
         return bool(decreased_axes.any())
 
     def _has_increased(self) -> bool:
-        """Begin another level if the noise increased in the last block; return whether it began."""
+        """Begin another level if the noise increased in the last block; return whether it began.
+
+        If the unit of the gyro changed, no level begins.
+        """
         block, floor = self._recent, self._rest.floor
         if len(block) < BLOCK_WINDOWS or not block.can_be_larger_noise:
             return False

@@ -131,8 +131,9 @@ class RestLimits(NamedTuple):
 
     ``step`` is the largest difference between the means of neighboring windows, and ``rate`` the
     largest difference between the mean of a window and the mean of the noise floor. For an axis
-    without noise, all except ``rate`` are infinite. For an accelerometer, ``rate`` is infinite. For
-    windows with fewer than `LEAST_WINDOW` samples, ``variance`` and ``step`` are infinite.
+    with a `NoiseFloor.scale` of 0, all except ``rate`` are infinite. For an accelerometer, ``rate``
+    is infinite. For windows with fewer than `LEAST_WINDOW` samples, ``variance`` and ``step`` are
+    infinite.
     """
 
     variance: Floats
@@ -143,7 +144,7 @@ class RestLimits(NamedTuple):
 
 @dataclass(frozen=True)
 class NoiseFloor:
-    """The noise of an IMU at rest, estimated from windows of ``size`` samples.
+    """The noise of an IMU at rest, estimated from windows of at most ``size`` samples.
 
     The arrays are (axes,). ``step``, ``mean`` and ``lsb`` are in the unit of the samples.
     """
@@ -153,7 +154,7 @@ class NoiseFloor:
     settings: SegmenterSettings
     variance: Floats  # variance in a window at rest, in the squared unit of the samples
     step: Floats  # standard deviation of the step between the means of neighboring windows
-    mean: Floats  # mean of the samples at rest, estimated by the median of the window means
+    mean: Floats  # mean of the samples at rest, estimated from the means of the windows
     lsb: Floats  # smallest difference, other than 0, between successive samples; 0 if there is none
     ratio: Floats  # von Neumann ratio of the samples
     clipped: Floats  # share of the samples that are clipped, or 0 if below `MIN_CLIPPED`
@@ -171,8 +172,8 @@ class NoiseFloor:
         samples without a gap. A part with fewer than ``size`` samples is one window, and a part
         with fewer than two samples is ignored. If no part has two samples, all estimates are 0,
         except for ``ratio``, which is NaN. Windows in which an axis repeats one value (`is_stuck`)
-        do not contribute to ``variance`` and ``mean`` of this axis, if the axis changes in at least
-        a quarter of the windows.
+        do not contribute to ``variance`` and ``mean`` of this axis, unless there are more than
+        three quarters of such windows.
         """
         parts = [rows for rows in parts if rows.shape[1] > 1]
         zeros = np.zeros(len(gyro))
@@ -351,8 +352,8 @@ class NoiseFloor:
     def has_wrong_unit(self, later: NoiseFloor) -> bool:
         """Return whether this noise floor has a wrong unit, and a later noise floor the right unit.
 
-        This is so if only the later gravity has the magnitude of gravity in m/s^2, or if the noise
-        of the gyro decreased by the factor between rad/s and another unit, such as deg/s.
+        This is so if only the later gravity has the magnitude of gravity in m/s^2, or if the change
+        of the noise shows that the unit of the gyro was not rad/s before (`changed_unit`).
         """
         with np.errstate(invalid='ignore', divide='ignore'):
             if self.changed_unit(np.sqrt(self.variance / later.variance)):
@@ -362,8 +363,9 @@ class NoiseFloor:
     def newly_clipped(self, rows: Floats) -> Flags:
         """Return which axes are clipped in ``rows``, but were not when the floor was learned.
 
-        ``rows`` are the latest samples: (axes, n), or (axes, groups, n) for several groups of n
-        samples. The result is (axes,), or (groups, axes) for several groups.
+        At least the share `CLIPPED_SHARE` of the samples must be clipped. ``rows`` are the latest
+        samples: (axes, n), or (axes, groups, n) for several groups of n samples. The result is
+        (axes,), or (groups, axes) for several groups.
         """
         return np.asarray((self.clipped == 0.0) & (clipped_shares(rows).T >= CLIPPED_SHARE))
 
@@ -393,10 +395,10 @@ class NoiseFloor:
         return self.distance(windows) < other.distance(windows)
 
     def distance(self, windows: Windows) -> float:
-        """Return the mean of abs(log(median variance of the windows / `scale`)) over the axes.
+        """Return the mean over the axes of abs(log(v / `scale`)).
 
-        Axes for which this number is not finite are ignored. The mean of no axes is 0. There must
-        be at least one window.
+        v is the lower median of the variances of the windows. Axes for which the logarithm is not
+        finite are ignored. The mean of no axes is 0. There must be at least one window.
         """
         with np.errstate(invalid='ignore', divide='ignore'):
             log_ratio = np.log(_quantile(windows.variance, 0.5) / self.scale)
@@ -406,8 +408,8 @@ class NoiseFloor:
     def revived(self, rows: Floats) -> Flags:
         """Return which axes, (axes,), had no noise when the floor was learned, but have noise now.
 
-        Such an axis may have changed when the floor was learned, but in less than a quarter of the
-        windows. ``rows``, (axes, n), are the latest samples.
+        Such an axis may have changed in some windows when the floor was learned. ``rows``,
+        (axes, n), are the latest samples.
         """
         is_revived = self.variance == 0.0
         if is_revived.any():
@@ -419,7 +421,7 @@ class NoiseFloor:
 
         This noise floor was learned later. ``axes``, (axes,), flags the axes whose noise is smaller
         than before. The IMU moved if the former noise was very large (`SHAKEN_RATIO`), was not
-        stationary or had low frequencies, or if the mean rate or the direction of gravity changed.
+        stationary or had low frequencies, or if the mean rate or the mean specific force changed.
 
         The noise may also change without motion: because of a fault of a few axes, a setting of the
         sensor, a fan, or another unit of measurement. The result is therefore False if fewer than
@@ -451,10 +453,10 @@ class NoiseFloor:
         """Return the noise floor updated by a block of k windows.
 
         ``still``, (k,), flags windows at rest. If at least half of the windows are at rest,
-        ``variance`` and ``mean`` are updated from these windows. A block is ``steady`` if all
-        windows are at rest, or would be at rest if the gyro had another bias. If fewer windows are
-        at rest in a steady block, only ``mean`` is updated, because the bias of the gyro changed
-        suddenly, or was learned during a rotation.
+        ``variance`` and ``mean`` are updated from these windows. ``steady`` is the property
+        `RecentWindows.is_steady` of the block. If fewer windows are at rest in a steady block, only
+        ``mean`` is updated, because the bias of the gyro changed suddenly, or was learned during a
+        rotation.
         """
         if 2 * np.count_nonzero(still) >= len(still):
             windows_at_rest = block if still.all() else Windows(block.values[:, :, still])
@@ -466,11 +468,11 @@ class NoiseFloor:
     def increase(self, rows: Floats, block: Windows) -> Floats | None:
         """Return the ratio of the noise of a block at rest to the noise floor, (axes,).
 
-        The ratio of an axis whose noise floor is 0 is 1.
+        The ratio of an axis with a `scale` of 0 is 1.
 
         ``rows``, (axes, n), are the samples of the block, and ``block`` are the statistics of its
-        windows. Returns None if no noise has increased, if the IMU moves, or if a ratio is not
-        finite.
+        windows. Returns None if no ratio exceeds `INCREASE_RATIO`, if the IMU moves, or if a ratio
+        is not finite.
         """
         scale = self.scale
         with np.errstate(invalid='ignore', divide='ignore'):
@@ -484,11 +486,11 @@ class NoiseFloor:
     def _is_at_rest(self, block: Windows, spectrum: Floats, increased: Flags) -> bool:
         """Return whether the IMU is at rest although the noise of some axes increased.
 
-        ``spectrum``, (axes,), is the von Neumann ratio of the samples from which ``block`` was
-        computed, and ``increased``, (axes,), flags these axes. The IMU is at rest if the noise is
-        stationary and has nearly as broad a spectrum as the noise floor or white noise, if noise
-        explains the steps between window means, and if neither the mean rate nor the direction of
-        gravity changed.
+        ``block`` contains windows with the increased noise, ``spectrum``, (axes,), is the von
+        Neumann ratio of this noise, and ``increased``, (axes,), flags these axes. The IMU is at
+        rest if the noise is stationary and has no narrow spectrum (`INCREASE_SPECTRUM`), if noise
+        explains the steps between window means, and if neither the mean rate nor the mean specific
+        force changed. The rate is not compared if the unit of the gyro changed.
         """
         median_variance, scale = _quantile(block.variance, 0.5), self.scale
         is_near_median = block.variance <= INCREASE_SPREAD * median_variance[:, None]
@@ -518,7 +520,7 @@ class NoiseFloor:
         """Classify windows of ``size`` samples by comparing them with the noise floor.
 
         ``rows``, (axes, k * size), are the samples of the windows. ``previous_mean``, (axes,), is
-        the mean of the window before the first window, or None if there is no such window.
+        the mean of the window before the first window, or None if it is not known.
         """
         limits = self.limits if size == self.size else self.limits_of(size)
         previous = windows.mean[:, :1] if previous_mean is None else previous_mean[:, None]

@@ -33,8 +33,8 @@ def present_faults(
 ) -> tuple[Finding, ...]:
     """Return the known faults that explain why the latest windows are not at rest.
 
-    ``rows``, (axes, n), are the samples of the windows in the unit of the messages, and ``floor``
-    is the noise floor. ``seconds`` is the time in s for which the IMU has not been at rest.
+    ``rows``, (axes, n), are the samples of the windows, and ``floor`` is the noise floor.
+    ``seconds`` is the time in s for which the IMU has not been at rest.
     """
     findings: list[Finding] = []
     for sensor in SENSORS:
@@ -89,7 +89,10 @@ def noise_ratios(findings: Iterable[Finding]) -> dict[str, float]:
 def _gravity(
     accel: tuple[str, ...], floor: NoiseFloor, windows: Windows, variance: Floats
 ) -> list[Finding]:
-    """Return a finding if the specific force at rest was gravity in m/s^2, but no longer is."""
+    """Return a finding if the specific force at rest was gravity in m/s^2, but no longer is.
+
+    There is no finding if the mean acceleration is not steady (`STEADY_CHANGE`).
+    """
     means = windows.mean[~floor.gyro]
     norm, gravity = float(np.linalg.norm(means.mean(axis=1))), floor.gravity
     least_gravity = WEIGHTLESS * STANDARD_GRAVITY
