@@ -134,7 +134,9 @@ class ColumnLayout:
         """The names of the axes that have a column."""
         return tuple(AXES[axis] for axis in sorted(self.axes))
 
-    def check(self, where: object, names: Sequence[str], with_times: bool) -> None:
+    def check(
+        self, where: object, names: Sequence[str], with_times: bool, header_line: int = 0
+    ) -> None:
         """Raise AllanError if no column is an axis, or if the times are missing.
 
         Parameters
@@ -145,11 +147,17 @@ class ColumnLayout:
             Names of the columns, for error messages.
         with_times : bool
             Whether the times are known without a column.
+        header_line : int
+            Number of the line of a text file that contains the names; 0 if there is no such line.
         """
+        if header_line:
+            where = f'{where}: line {header_line}'
         if not self.axes:
+            preamble_advice = 'remove lines above the header, or ' if header_line else ''
             raise AllanError(
-                f'{where}: no column ({listed(names)}) is a gyro or accel axis: name them, such as '
-                f'--columns {EXAMPLE_COLUMNS} ({LEFT_OUT} excludes a column), or t=NAME,gx=NAME,...'
+                f'{where}: no column ({listed(names)}) is a gyro or accel axis: {preamble_advice}'
+                f'name the columns, such as --columns {EXAMPLE_COLUMNS} ({LEFT_OUT} excludes a '
+                'column), or t=NAME,gx=NAME,...'
             )
         if not self.stamp and not with_times:
             raise AllanError(

@@ -46,7 +46,7 @@ from .unit_names import to_celsius
 
 T = TypeVar('T')
 
-COMMENT_MARK, FRAME_COMMENT = '#', '# frame_id:'
+COMMENT_MARKS, FRAME_COMMENT = ('#', '//'), '# frame_id:'
 
 INT64 = np.iinfo(np.int64)
 
@@ -166,7 +166,7 @@ def _layout(path: Path, file: TextIO, options: ReadOptions) -> _SampleTable:
     lines = _bounded_lines(path, file)
     number = 0
     for number, line in enumerate(lines, 1):  # noqa: B007
-        if line.startswith(COMMENT_MARK):
+        if line.startswith(COMMENT_MARKS):
             comment = line
         elif not line.isspace():
             break
@@ -178,13 +178,13 @@ def _layout(path: Path, file: TextIO, options: ReadOptions) -> _SampleTable:
     further_lines = (
         further_line
         for further_line in lines
-        if not further_line.startswith(COMMENT_MARK) and not further_line.isspace()
+        if not further_line.startswith(COMMENT_MARKS) and not further_line.isspace()
     )
     rows = _split(chain([line], further_lines), delimiter)
     try:
         first_cells = tuple(cell.strip() for cell in next(rows))
         number += getattr(rows, 'line_num', 1) - 1  # a header may contain quoted line breaks
-        comment_cells = next(_split([comment.lstrip('# ')], delimiter)) if comment else []
+        comment_cells = next(_split([comment.lstrip('#/ ')], delimiter)) if comment else []
     except (csv.Error, StopIteration) as error:
         raise AllanError(
             f'{path}: line {number} is not a row of a table: correct the file'
@@ -195,10 +195,10 @@ def _layout(path: Path, file: TextIO, options: ReadOptions) -> _SampleTable:
         next_rows += islice(rows, FIRST_ROWS)
     except csv.Error:  # `_SampleTable.read` reports the error
         next_rows = next_rows or [[]]
+    columns = columns_of(path, names, options)
+    columns.check(path, names, bool(options.rate_hz), header_line)
     if not next_rows:
         raise AllanError(f'{path}: has no line after its header: record or export it again')
-    columns = columns_of(path, names, options)
-    columns.check(path, names, bool(options.rate_hz))
     if len(columns.stamp) == 1:
         ((column, _),) = columns.stamp
         cells = [row[column] for row in next_rows if len(row) > column]
@@ -246,8 +246,9 @@ def _names(
     if given_names and not are_pairs:
         if len(given_names) != len(first_cells):
             raise AllanError(
-                f'{path}: has {len(first_cells)} columns, {len(given_names)} are named by '
-                f'--columns: name each ({LEFT_OUT} excludes a column), or state some as in gx=NAME'
+                f'{path}: line {number} has {len(first_cells)} columns, but --columns names '
+                f'{len(given_names)}: name each ({LEFT_OUT} excludes a column), state some as in '
+                'gx=NAME, or remove lines above the table'
             )
         used_cells = [cell for name, cell in zip(given_names, first_cells) if name != LEFT_OUT]
         return given_names, 0 if all(map(_is_value, used_cells)) else number
@@ -263,9 +264,9 @@ def _names(
             f'{path}: has {len(first_cells)} columns of numbers and no header: '
             f'name them, such as --columns {EXAMPLE_COLUMNS} ({LEFT_OUT} excludes a column)'
         )
-    return (
-        picked_names(path, names, given_names) if are_pairs else names_by_file(path.stem, names)
-    ), header_line
+    if are_pairs:
+        return picked_names(f'{path}: line {number}', names, given_names), header_line
+    return names_by_file(path.stem, names), header_line
 
 
 def _number(cell: str) -> float:
@@ -334,7 +335,7 @@ class _Lines:
     def __iter__(self) -> Iterator[str]:
         for line in _bounded_lines(self._table.path, self._file):
             self.number += 1
-            if line.startswith(COMMENT_MARK):
+            if line.startswith(COMMENT_MARKS):
                 if line.startswith(FRAME_COMMENT):
                     self.frame_id = line[len(FRAME_COMMENT) :].strip()
             elif self.number > self._table.header_line and not line.isspace():

@@ -106,7 +106,7 @@ CALLS = [
     (lambda r: ar.analyze(np.zeros((9, 4)), rate=9), 'name them'),
     (lambda r: ar.analyze(np.zeros((9, 2)), rate=9, axes=['gyro_x'] * 2), 'name one axis per col'),
     (lambda r: ar.analyze(np.zeros((9, 3, 2)), rate=9), 'shape'),
-    (lambda r: ar.analyze({'time': W, 'x': W}), 'accel axis: name them'),
+    (lambda r: ar.analyze({'time': W, 'x': W}), 'accel axis: name the columns'),
     (
         lambda r: ar.analyze({'time': np.array([0, np.nan]), 'gx': W[:2]}),
         'time of row 1 is not',

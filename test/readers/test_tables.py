@@ -72,6 +72,7 @@ def echoed(name: str) -> str:
         ('t,"gx","gy","gz",ax,ay,az', '"1","1",2,3,4,5,6', 10**9),
         ('"t; s",gx,gy,gz,ax,ay,az', '"0,005","1,0", "2,0",3,4,5,6', 5_000_000),
         ('t,gx,gy,gz,ax,ay,az', f'"2023-11-14 22:13:20,125",{ROW}', 1_700_000_000_125_000_000),
+        ('// Start Time: 9:00\n# Rate: 100 Hz\nt,gx,gy,gz,ax,ay,az', f'1,{ROW}', 10**9),
         ('\ufefft,gx,gy,gz,ax,ay,az', f'1,{ROW}', 10**9),
         ('t,gx,gy,gz,ax,ay,az\r', f'1,{ROW}\r', 10**9),
         (
@@ -423,6 +424,7 @@ def test_an_unstated_unit_is_a_warning(
 
 
 HEADER = 't,gx,gy,gz,ax,ay,az\n'
+COLUMNS = tuple(HEADER.strip().split(','))
 
 
 @pytest.mark.parametrize(
@@ -444,9 +446,14 @@ HEADER = 't,gx,gy,gz,ax,ay,az\n'
         ),
         ('time,z,y,x\n1,2,3,4\n', {}, 'or t=NAME,gx=NAME'),
         (f'1,{ROW}\n', {}, 'has 7 columns of numbers and no header'),
-        (f'1,{ROW}\n', {'columns': ('t', 'gx')}, 'has 7 columns, 2 are named by --columns'),
+        (f'1,{ROW}\n', {'columns': ('t', 'gx')}, 'has 7 columns, but --columns names 2'),
         ('gx,gy,gz\n1,2,3\n', {}, 'state the sample rate (--rate'),
-        ('t,a,b\n1,2,3\n', {}, 'no column (t, a, b) is a gyro or accel axis'),
+        ('t,a,b\n1,2,3\n', {}, 'line 1: no column (t, a, b) is a gyro or accel axis'),
+        (f'\nDevice: Foo\n{HEADER}1,{ROW}\n', {}, 'line 2: no column (Device:, Foo) is a'),
+        (f'Device: Foo\n{HEADER}1,{ROW}\n', {}, 'remove lines above the header'),
+        (f'Foo\n{HEADER}1,{ROW}\n', {'columns': ('gx=w_x',)}, 'line 1: 0 columns (Foo) are'),
+        (f'Device: Foo\n{HEADER}1,{ROW}\n', {'columns': COLUMNS}, 'line 1 has 2 columns, but'),
+        ('<html><h1>404</h1></html>', {}, 'line 1: no column (<html><h1>404</h1></html>) is a'),
         ('t,gx [mph],gy,gz\n1,2,3,4\n', {}, "the unit of column 'gx [mph]' is unknown"),
         ('t,gx,gy,gz\n1,"2,3,4\n', {}, 'line 2 is not a row of a table'),
         (f'{HEADER}1,\0,2,3,4,5,6\n', {}, 'line 2'),
