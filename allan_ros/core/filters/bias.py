@@ -43,7 +43,7 @@ divided by its standard deviation. Sums over 1 to `STEP_MEANS` means are tested.
 
 
 class BiasModel(NamedTuple):
-    """Stochastic model of the bias of one axis: noise processes and an unknown constant slope."""
+    """Stochastic model of the bias of one axis: noise processes and an optional constant slope."""
 
     processes: Model
     slope_std: float = 0.0  # prior standard deviation of the slope, in SI per s; 0 for no slope
@@ -133,6 +133,7 @@ class BiasFilter:
             wide_std = 1e3 * (
                 sum(process_stds) + self._space.white + self._space.walk + self._slope_std
             )
+            self._state = np.zeros(self._space.size)
             self._state[1] = mean
             self._covariance = self._space.initial_covariance(wide_std, self._slope_std)
         self._predict(self._phi, self._noise)

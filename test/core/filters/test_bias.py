@@ -118,6 +118,17 @@ def test_a_step_of_the_bias_is_followed_at_once(step: float, within: int):
     assert low < step < high < step + 1.5
 
 
+def test_after_a_step_the_bias_follows_only_from_the_later_means() -> None:
+    model = BiasModel(Model.of(N=0.1, B=0.02, K=1e-4), slope_std=1e-4)
+    bias, fresh = BiasFilter(model), BiasFilter(model)
+    for mean in np.random.default_rng(0).normal(0.0, 0.1, 60).tolist():
+        bias.update(mean)
+    for mean in (5.0, 5.1):
+        bias.update(mean)
+        fresh.update(mean)
+        assert bias.estimate() == fresh.estimate()
+
+
 def test_a_tracker_estimates_the_bias_of_an_axis_with_the_current_model() -> None:
     tracker = BiasTracker()
     ends = [10**18 + 10**9 * i for i in range(1, 301)]
