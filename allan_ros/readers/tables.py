@@ -61,8 +61,8 @@ DATE = re.compile(r'\s*\d{4}-\d\d-\d\d[T ]\d\d:\d\d')
 
 WHOLE_DATE = re.compile(
     r'\s*(?P<minute>\d{4}-\d\d-\d\d[T ]\d\d:\d\d)'
-    r'(?::(?P<second>\d\d)(?:\.(?P<part>\d*))?)?'
-    r'\s*(?:Z|UTC|GMT|(?P<sign>[+-])(?P<hours>\d\d):?(?P<minutes>\d\d)?)?\s*'
+    r'(?::(?P<second>[0-5]\d|60)(?:\.(?P<part>\d*))?)?'
+    r'\s*(?:Z|UTC|GMT|(?P<sign>[+-])(?P<hours>[01]\d|2[0-3]):?(?P<minutes>[0-5]\d)?)?\s*'
 )
 """Regular expression for a date with a time (ISO 8601), with or without a time zone."""
 

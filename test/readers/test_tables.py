@@ -349,10 +349,22 @@ def test_dates_with_zones_are_read_without_warnings(
 
 
 @pytest.mark.filterwarnings('error')
-@pytest.mark.parametrize('date', ['2262-04-12T00:00:00', '9999-01-01T00:00Z', '2026-13-01T00:00'])
+@pytest.mark.parametrize('date', ['2262-04-12T00:00:00', '9999-01-01T00:00Z'])
 def test_dates_out_of_range_are_refused(date: str, tmp_path: Path) -> None:
-    said = refused(table(tmp_path, f't,gx\n{date},1\n'))
-    assert ('does not fit the range' in said) == ('13' not in date)
+    assert 'does not fit the range' in refused(table(tmp_path, f't,gx\n{date},1\n'))
+
+
+@pytest.mark.parametrize(
+    'date',
+    [
+        '2026-13-01T00:00',
+        '2026-01-01T00:00:61',
+        '2026-01-01T00:00:00+24:00',
+        '2026-01-01T00:00:00+01:60',
+    ],
+)
+def test_invalid_dates_are_refused(date: str, tmp_path: Path) -> None:
+    assert 'is not a number' in refused(table(tmp_path, f't,gx\n{date},1\n'))
 
 
 def test_a_column_can_have_record_times(tmp_path: Path) -> None:
