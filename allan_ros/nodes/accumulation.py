@@ -240,7 +240,7 @@ class ImuWatch(NodePart):
         return [status]
 
     def _is_paused(self) -> bool:
-        """Return whether simulated time has stopped since the last call; False with real time.
+        """Return whether simulated time has not changed since the last call; False with real time.
 
         If a message has arrived since the last call, simulated time counts as running.
         """
@@ -250,7 +250,7 @@ class ImuWatch(NodePart):
         return is_simulated and now_ns == former_ns and self._received == self._input.received
 
     def close(self) -> None:
-        """Accumulate the remaining messages, and write the checkpoint."""
+        """Accumulate the remaining messages; save the sums in the checkpoint, if there is one."""
         self._input.drain()
         self._update()
         self._input.close()

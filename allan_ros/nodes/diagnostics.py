@@ -309,7 +309,7 @@ def _term_pairs(axis: str, term: str, coefficient: Estimate) -> list[tuple[str, 
 
 
 def _limit_findings(view: AxisView) -> list[Finding]:
-    """Return a finding for each coefficient that exceeds its limit."""
+    """Return a finding for each comparison in which a limit is exceeded."""
     if view.result is None:
         return []
     return [exceeds_limit(c, view.margin, ()) for c in view.comparisons if c.verdict == 'exceeds']

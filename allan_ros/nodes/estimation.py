@@ -118,10 +118,7 @@ class ImuEstimate(NodePart):
         node.create_service(Trigger, f'{home}fit', self._on_fit)
 
     def process(self, snapshot: Snapshot) -> None:
-        """Process a new snapshot; start a fit if the sums have grown enough or were replaced.
-
-        While a fit runs, and in the pause after it, no fit is started.
-        """
+        """Process a new snapshot, and start a fit if it is due (see `_fit_if_due`)."""
         self._snapshot = snapshot
         former_faults, self._faults = self._faults, snapshot.faults
         lost_share = replaced_share(self._fitted, snapshot.sums)
@@ -234,8 +231,8 @@ class ImuEstimate(NodePart):
     def _fit_if_due(self) -> None:
         """Start a fit if the sums have changed enough, no fit is running, and the pause has ended.
 
-        If the sums have not changed enough, but there are new drives, only the factors in motion
-        are computed.
+        If the sums have not changed enough since the fit of the present model, but there are new
+        drives, only the factors in motion are computed.
         """
         if self._snapshot is None or self._fitting is not None:
             return

@@ -72,7 +72,7 @@ class FirstMessages:
         self._squares += rates**2
 
     def _mean(self) -> dict[str, Estimate]:
-        """Return gyro axis -> mean angular rate in rad/s; empty before the first valid message."""
+        """Return gyro axis -> mean angular rate in rad/s; empty before the first finite rates."""
         if not self._number:
             return {}
         mean = self._total / self._number

@@ -220,7 +220,7 @@ class ImuInput:
                 self._take_all()
 
     def _fetch(self) -> None:
-        """Fetch messages until the input is closed, so often that the queue rarely becomes full."""
+        """Fetch messages repeatedly, so often that the queue rarely becomes full."""
         wait_s = FETCH_S
         while not self._closed.wait(wait_s):
             last_drain_s, last_count = self._drained_s, self.received
@@ -352,7 +352,7 @@ class ImuInput:
         self._loss = None
 
     def _collect(self, payload: bytes, info: dict[str, Any] | None = None) -> None:
-        """Store one message; if it has a sequence number, count the messages missing before it."""
+        """Store one message; count the missing messages that its sequence number shows."""
         buffer = self._buffer
         buffer.payloads.append(payload)
         buffer.size += len(payload) + MESSAGE_BYTES

@@ -45,7 +45,7 @@ every 10 s."""
 
 
 class _Server(ThreadingHTTPServer):
-    """HTTP server that answers each request in a thread, at most `MOST_REQUESTS` at a time."""
+    """HTTP server that answers at most `MOST_REQUESTS` requests at a time, each in a thread."""
 
     daemon_threads = True
 
@@ -117,8 +117,9 @@ class LivePage:
     def page(self, path: str) -> str | None:
         """Return the HTML page of a URL path, or None if there is none.
 
-        If the path is the name of a topic, the page is the report of this topic. The page of '/' is
-        the report of the only topic, a list of several topics, or a hint if there is no topic.
+        Each topic from which sums were received has a page, whose path is the name of the topic.
+        The page of '/' is the page of the only such topic, a list of several such topics, or a hint
+        if there is none.
         """
         sums = dict(self._sums)  # a copy, because another thread adds topics
         topic = next(iter(sums)) if path == '/' and len(sums) == 1 else path

@@ -193,7 +193,7 @@ def replaced_because(before: Sequence[AllanSums], snapshot: Snapshot) -> str:
 
 
 def _lost(old: AllanSums, new: AllanSums) -> int:
-    """Return the number of samples of the old sums that are missing in the new sums."""
+    """Return how many samples of the old sums are known to be missing in the new sums."""
     new_samples = _samples_by_start(new)
     fewest_listed = min(new_samples.values()) if len(new_samples) >= KEPT_SEGMENTS else 0
     # a segment is listed only if it has enough blocks, and the blocks become longer as sums grow
@@ -244,7 +244,7 @@ class BiasPublisher:
         self._turn_on: dict[str, TurnOnBias] = {}
 
     def update(self, snapshot: Snapshot) -> None:
-        """Update the biases with the means in a snapshot; publish known biases if a mean is new."""
+        """Update biases with the means in a snapshot; publish them if the latest mean is new."""
         for means in snapshot.means:
             for i, axis in enumerate(means.axes):
                 self._tracker.add_means(axis, means.end_ns.tolist(), means.values[:, i].tolist())

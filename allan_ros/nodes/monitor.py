@@ -23,7 +23,7 @@ from .shell import Worker, run
 
 
 class Accumulator(AllanNode):
-    """Subscribes to ``imu/data``; publishes ``~/sums`` and the status of its input."""
+    """Subscribes to one IMU, by default ``imu/data``; publishes ``~/sums`` and the input status."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__('allan_accumulator', **options)

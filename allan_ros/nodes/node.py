@@ -285,7 +285,7 @@ class AllanNode(Node):
             self._publish_diagnostics(now)
 
     def _publish_diagnostics(self, now: float) -> None:
-        """Publish the statuses of all parts and recent internal errors; write the metrics file."""
+        """Publish the statuses of all parts and recent internal errors; write metrics if due."""
         statuses: list[DiagnosticStatus] = []
         for part in self._parts:
             try:

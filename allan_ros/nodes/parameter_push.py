@@ -288,7 +288,7 @@ class ParameterPush(NodePart):
         return target_rows(results, plan.target, options, bias)
 
     def _proposals(self, plan: PushPlan, results: Results) -> list[Proposal]:
-        """Return the values that can be set; for each other value, store the reason as a note."""
+        """Return the values that can be set; notes state why other values cannot be set."""
         self._gains = ()
         try:
             rows = self._rows(plan, results)
@@ -373,7 +373,7 @@ class ParameterPush(NodePart):
         self._store()
 
     def _numbers_of(self, name: str, values: Sequence[ParameterValue]) -> Numbers | None:
-        """Return the value in an answer: one or several doubles.
+        """Return the value in an answer: a double, or an array of doubles.
 
         Returns None, and stores a note, if the value has another type.
         """

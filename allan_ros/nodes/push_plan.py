@@ -60,7 +60,7 @@ class PushPlan:
 
     @property
     def rows(self) -> Mapping[str, str]:
-        """Name of a row -> name of its parameter; empty if each parameter is named like its row."""
+        """Name of a row -> name of its parameter; if empty, parameters are named like rows."""
         return {row: self.names.get(row, row) for row in GAINS.get(self.target, self.names)}
 
 

@@ -350,7 +350,7 @@ class ImuRelay(NodePart):
     # --- the messages -----------------------------------------------------------------------------
 
     def _relay(self, payload: bytes, _info: Any = None) -> None:
-        """Publish one message, with covariances filled in if these are known."""
+        """Publish one message, with the covariances that `CovariancePatch.patch` fills in."""
         counts = self._counts
         counts[RECEIVED] += 1
         self._latest = payload
@@ -413,7 +413,7 @@ class ImuRelay(NodePart):
     # --- the noise model --------------------------------------------------------------------------
 
     def _missing_model(self, now: float) -> Finding:
-        """Return a finding with the reason why there is no noise model."""
+        """Return a finding about the missing noise model."""
         topic, seconds = self._model_topic, now - self._began
         if self._invalidated:
             return finding('relay_invalidated', topic=topic)
@@ -422,7 +422,7 @@ class ImuRelay(NodePart):
         return finding('relay_zeros' if self._zeros() else 'relay_waits', topic=topic)
 
     def _zeros(self) -> list[str]:
-        """Return the sensors whose covariance in the latest published message is all zeros."""
+        """Return the sensors whose covariance is all zeros in the latest message after patching."""
         latest = self._latest
         if latest is None:
             return []
@@ -433,7 +433,7 @@ class ImuRelay(NodePart):
             return []
 
     def _findings(self, now: float) -> list[Finding]:
-        """Return findings about present problems and about messages counted since the start.
+        """Return findings about the present state and about messages counted since the start.
 
         Each cause precedes its effects.
         """

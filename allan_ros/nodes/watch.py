@@ -87,7 +87,7 @@ second."""
 
 @dataclass(frozen=True)
 class StatusRow:
-    """One status as it is displayed; ``age_s`` is the time since it was received, in s."""
+    """One status as it is displayed; ``age_s`` is its age in s."""
 
     level: str
     node: str

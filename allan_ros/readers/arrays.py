@@ -102,9 +102,9 @@ def open_array(path: Path, options: ReadOptions) -> Recording:
 
 
 def _load(path: Path, options: ReadOptions) -> tuple[ImuBatch, ColumnLayout, str]:
-    """Return the samples of a file, the layout of the columns, and the name of the time column.
+    """Return the samples of a file, the layout of the columns, and the name of a time column.
 
-    The name of the time column is '' if no column contains times.
+    The name is '' if no column contains times.
     """
     arrays = _arrays(path)
     samples = arrays[SAMPLES]

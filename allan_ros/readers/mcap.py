@@ -389,7 +389,8 @@ def open_storage(path: Path, shown: Path) -> Iterator[McapStorage]:
 def records(data: bytes) -> Iterator[tuple[int, int, int]]:
     """Yield the opcode of each record in the data, and the start and end offset of its content.
 
-    Raises struct.error when a record extends beyond the end of the data, or has the opcode 0.
+    Raises struct.error when the content of a record extends beyond the end of the data, or an
+    opcode is 0.
     """
     at, size, unpack, head_bytes = 0, len(data), RECORD_HEAD.unpack_from, RECORD_HEAD.size
     while at + head_bytes <= size:

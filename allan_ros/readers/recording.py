@@ -206,7 +206,7 @@ class Recording:
         """Yield the samples in order, in batches of at most `BATCH` samples with one frame_id each.
 
         Raises AllanError when the recording cannot be read. A truncated or partly damaged recording
-        can be read in part; `findings` then state the damage.
+        may be read in part; `findings` then state the damage.
         """
         findings: list[Finding] = []
         for batch in self.read(findings.append):

@@ -315,7 +315,7 @@ def _no_data(job: ReadJob, topic: str, counts: Counts, findings: Sequence[Findin
 def _share_a_segment(a: AllanSums, b: AllanSums) -> bool:
     """Return whether ``a`` and ``b`` have a segment in common.
 
-    Segments with the same start and equal block means are regarded as the same samples, because
+    Segments with the same start, length and block means are regarded as the same samples, because
     noise hardly repeats.
     """
     return any(

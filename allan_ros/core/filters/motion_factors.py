@@ -421,7 +421,7 @@ def _part(data: DriveLikelihood, fit: DriveFit, sensor: str) -> tuple[NoisePart,
 
 
 def _elements(data: DriveLikelihood, fit: DriveFit, name: str) -> tuple[Estimate, ...]:
-    """Return the elements of a calibration error with 95 % intervals."""
+    """Return the elements of a calibration error; resolved elements have 95 % intervals."""
     means, deviations = data.elements(fit, name)
     half_widths = _quantile(len(fit.scores)) * deviations
     are_resolved = deviations < KNOWN_SHARE * CAUSES[name]
