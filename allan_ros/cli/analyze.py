@@ -52,9 +52,10 @@ from .outcomes import (
 from .result_lines import findings_lines, results_lines
 
 EXITS = {
-    EXIT_FAILED: 'with --fail-on: a finding of the given or a higher severity, or an exceeded limit'
+    0: 'done, even if a finding is an error',
+    EXIT_FAILED: 'with --fail-on: a finding of the given or a higher severity, or an exceeded limit',
 }
-"""Exit code of `analyze` that not all verbs have -> meaning of the code."""
+"""Exit code of `analyze` -> meaning, for the codes with a meaning that not all verbs share."""
 
 FAIL_ON = (
     Option(

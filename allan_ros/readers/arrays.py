@@ -129,7 +129,7 @@ def _load(path: Path, options: ReadOptions) -> tuple[ImuBatch, ColumnLayout, str
     names = tuple(options.columns or COLUMN_NAMES.get(width, '').split(','))
     if len(names) != width or any('=' in name for name in names):
         raise AllanError(
-            f'{path} has shape {samples.shape}: name each of its columns, such '
+            f'{path} has shape {samples.shape}: give one row per sample, and name each column, such '
             f'as --columns {",".join(["t", *AXES][:width])} (- excludes a column)'
         )
     layout = columns_of(path, names, options)
@@ -337,8 +337,8 @@ def _axis_names(axes: str | Sequence[str] | None, columns: int | None = None) ->
     if axes is None:
         if columns not in DEFAULT_AXES:
             raise AllanError(
-                f'the axes of {columns} columns are unknown: name them, such as axes=["gyro_z", '
-                '...]'
+                f'the axes of {columns} columns are unknown: give one row per sample, and name the '
+                'columns, such as axes=["gyro_z", ...]'
             )
         return DEFAULT_AXES[columns]
     names = AXES[SENSORS[axes]] if isinstance(axes, str) and axes in SENSORS else axes
@@ -349,8 +349,8 @@ def _axis_names(axes: str | Sequence[str] | None, columns: int | None = None) ->
     columns = len(names) if columns is None else columns
     if len(set(names)) < len(names) or len(names) != columns:
         raise AllanError(
-            f'{columns} columns, but {len(names)} axes ({", ".join(names)}): name one axis per '
-            'column'
+            f'{columns} columns, but {len(names)} axes ({", ".join(names)}): give one row per '
+            'sample, and one axis per column'
         )
     return names
 

@@ -102,9 +102,14 @@ CALLS = [
     (lambda r: ar.analyze(W, rate=9, axes='yaw'), "axis 'yaw' is unknown"),
     (lambda r: ar.analyze(W), 'rate=200'),
     (lambda r: ar.analyze(W[:0], rate=9), 'no samples'),
-    (lambda r: ar.analyze(W * np.nan, rate=9), 'no static data'),
-    (lambda r: ar.analyze(np.zeros((9, 4)), rate=9), 'name them'),
-    (lambda r: ar.analyze(np.zeros((9, 2)), rate=9, axes=['gyro_x'] * 2), 'name one axis per col'),
+    (lambda r: ar.analyze(W * np.nan, rate=9), 'data: the values are NaN.*Check the columns'),
+    (lambda r: ar.analyze(np.zeros((9, 4)), rate=9), 'and name the columns'),
+    (
+        lambda r: ar.analyze(np.zeros((9, 2)), rate=9, axes=['gyro_x'] * 2),
+        'and one axis per column',
+    ),
+    (lambda r: ar.analyze(np.zeros((6, 900)), rate=9), 'of 900 columns .* one row per sample'),
+    (lambda r: ar.analyze(np.zeros((3, 900)), rate=9, axes='gyro'), 'give one row per sample'),
     (lambda r: ar.analyze(np.zeros((9, 3, 2)), rate=9), 'shape'),
     (lambda r: ar.analyze({'time': W, 'x': W}), 'accel axis: name the columns'),
     (

@@ -131,7 +131,7 @@ def with_time(value: float) -> np.ndarray:
     'content, says',
     [
         ({'gyro': IMU}, "has no array 'imu' (it has gyro)"),
-        ({'imu': IMU[:, :5]}, 'has shape (1000, 5): name each of its columns'),
+        ({'imu': IMU[:, :5]}, 'has shape (1000, 5): give one row per sample, and name each column'),
         ({'imu': np.zeros((9, 2, 3))}, 'has shape (9, 2, 3)'),
         ({'imu': IMU[:0]}, 'contains no sample'),
         ({'imu': IMU[:, 1:]}, 'state the sample rate (--rate'),
