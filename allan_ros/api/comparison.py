@@ -160,7 +160,7 @@ def common(*sources: Any, rate: float = 0.0, **options: Any) -> CommonResult:
     *sources : path, array, DataFrame, mapping of columns, or ImuBatch
         One recording of each IMU, or a bag with one Imu topic for each IMU. If there is only one
         IMU, the axes of each of its sensors are compared with each other. In the output, each IMU
-        has the name of its file, its topic, or both. Samples in memory have the names A, B, C ...,
+        is named after its file, its topic, or both. Samples in memory have the names A, B, C ...,
         according to their position.
     rate : float
         Sample rate in Hz, as in `analyze`.

@@ -64,7 +64,7 @@ def _numbers(estimate: Estimate) -> tuple[float, float, float]:
 
 
 def measured_entry(results: Results) -> str:
-    """Return results as YAML text, for the list ``measured`` in the file of a datasheet."""
+    """Return N and B as YAML text, for the list ``measured`` in the file of a datasheet."""
     terms: dict[str, list[str]] = {}
     for (sensor, term), estimate in measured_values(results).items():
         value, low, high, unit = _value_texts(sensor, term, *_numbers(estimate), digits=4)

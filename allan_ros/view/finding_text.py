@@ -96,7 +96,7 @@ def finding_document(finding: Finding, units: str = 'deg/h') -> dict[str, Any]:
     """Return a finding as a JSON object.
 
     Its texts use ``units``, which is 'deg/h' or 'SI', unless the finding has texts from a document
-    (`Finding.stated`). Its values are in SI.
+    (`Finding.stated`). Its values are not converted.
     """
     return {**finding.document(), **texts_of(finding, units)._asdict()}
 

@@ -16,9 +16,9 @@ from .verdict_text import verdict_of
 def result_document(results: Results, units: str = 'deg/h', curves: bool = True) -> dict[str, Any]:
     """Return the results as the document ``allan_ros/results/3`` (results.json).
 
-    Numbers are in SI, except stamps in ns and the tilt in degrees. The texts of the findings and of
-    the verdict use ``units``, 'deg/h' or 'SI'. Texts that were read from a file are not changed.
-    Without ``curves``, the curves and the verdict are omitted.
+    Most numbers are in SI; exceptions are, for example, stamps in ns and the tilt in degrees. The
+    texts of the findings and of the verdict use ``units``, 'deg/h' or 'SI'. Texts that were read
+    from a file are not changed. Without ``curves``, the curves and the verdict are omitted.
     """
     verdict_entry = {'verdict': plain(verdict_of(results, units))} if curves else {}
     finding_documents = [finding_document(each, units) for each in results.findings]
