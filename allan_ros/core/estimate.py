@@ -305,13 +305,13 @@ def significant(value: float, digits: int) -> str:
     """Return a number rounded to ``digits`` significant digits, with trailing zeros.
 
     Rounded magnitudes below 1e-4, or of 1e6 or more, are in exponential notation. Zero, NaN and
-    infinity have no digits: '0', 'nan' and 'inf'.
+    infinity have no digits: '0', 'nan', 'inf' and '-inf'.
 
     >>> significant(0.24199, 4), significant(31.8, 4), significant(12345.6, 3)
     ('0.2420', '31.80', '12300')
     """
     if not math.isfinite(value) or value == 0.0:
-        return f'{value:g}'
+        return f'{value + 0.0:g}'  # -0.0 + 0.0 is 0.0
     exponent = math.floor(math.log10(abs(float(f'{value:.{digits - 1}e}'))))
     if not -4 <= exponent <= 5:
         return f'{value:.{digits - 1}e}'

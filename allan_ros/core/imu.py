@@ -79,7 +79,7 @@ class ImuBatch:
     filled: Ints | None = None
 
     def __post_init__(self) -> None:
-        n = len(self.stamps_ns)
+        n = self.stamps_ns.size
         is_table = self.stamps_ns.ndim == 1 and self.samples.ndim == 2
         if not is_table or len(self.samples) != n or self.samples.shape[1] > len(AXES):
             raise AllanError(
@@ -148,9 +148,9 @@ def joined(batches: Sequence[ImuBatch], copy: bool = False) -> ImuBatch:
 
     Batches without samples are ignored. Of the other batches, the result has the ``cut`` of the
     first batch and the frame_id of the last batch. The record times are None unless all of these
-    batches have record times. The samples of each axis are contiguous in memory. If only one batch
-    has samples, the result is this batch itself, and if no batch has samples, the first batch
-    itself; with ``copy``, a copy of this batch.
+    batches have record times. If only one batch has samples, the result is this batch itself, and
+    if no batch has samples, the first batch itself; with ``copy``, a copy of this batch. In other
+    results and in copies, the samples of each axis are contiguous in memory.
     """
     parts = [part for part in batches if len(part)] or list(batches[:1])
     if len(parts) == 1 and not copy:
@@ -357,16 +357,17 @@ def even_stamps(first: int, count: int, rate: float) -> NDArray[np.int64]:
 def real_numbers(values: Any) -> Floats:
     """Return numbers as a float64 array of the same shape; masked values become NaN.
 
-    Raises TypeError or ValueError if the values are not real numbers, such as complex numbers,
-    dates or durations, or if they have no common shape.
+    Raises TypeError or ValueError if the values cannot be converted, such as complex numbers, dates
+    or durations, or if they have no common shape.
     """
-    array = np.asarray(np.ma.filled(values, np.nan) if np.ma.is_masked(values) else values)
+    array = np.asarray(values)
     if array.dtype.kind in 'cmM':
         raise TypeError('complex values' if array.dtype.kind == 'c' else 'dates or durations')
     try:
-        return np.asarray(array, float)
+        numbers = np.asarray(array, float)
     except OverflowError as error:
         raise ValueError(str(error)) from None
+    return np.where(np.ma.getmask(values), np.nan, numbers) if np.ma.is_masked(values) else numbers
 
 
 def sensor_of(axis: str) -> str:

@@ -75,6 +75,7 @@ def test_a_narrow_interval_has_more_digits() -> None:
         (1.23456e-7, 3, '1.23e-07'),
         (-5.0, 2, '-5.0'),
         (0.0, 3, '0'),
+        (-0.0, 3, '0'),
         (math.inf, 3, 'inf'),
     ],
 )

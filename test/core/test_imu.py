@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 import math
 
+import numpy as np
 import pytest
 
 from allan_ros.core.errors import AllanError
@@ -10,7 +11,9 @@ from allan_ros.core.imu import (
     DATASHEET_UNITS,
     SI_UNITS,
     UNITS,
+    ImuBatch,
     from_datasheet,
+    real_numbers,
     to_si,
 )
 
@@ -59,3 +62,14 @@ def test_every_term_has_a_unit_on_both_sensors():
 def test_a_unit_of_something_else_is_rejected_with_those_that_fit(unit):
     with pytest.raises(AllanError, match=r'use one of .*deg/sqrt\(h\)'):
         to_si(1.0, unit, 'rad/s/sqrt(Hz)')
+
+
+@pytest.mark.parametrize('dtype', [int, float, np.int16])
+def test_masked_numbers_become_nan(dtype):
+    values = np.ma.array([1, 2, 3], dtype=dtype, mask=[False, True, False])
+    assert np.array_equal(real_numbers(values), [1.0, math.nan, 3.0], equal_nan=True)
+
+
+def test_a_single_stamp_that_is_no_array_of_stamps_is_rejected():
+    with pytest.raises(AllanError, match='pass one row of six axes per stamp'):
+        ImuBatch(np.array(0), np.zeros((1, 6)))

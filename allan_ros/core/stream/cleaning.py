@@ -120,7 +120,10 @@ class StampChoice:
         return [finding('stamps_missing', what=fault)]
 
     def of(self, batch: ImuBatch) -> ImuBatch:
-        """Return ``batch``, the next samples, with the stamps that `learn` has chosen."""
+        """Return ``batch``, the next samples, with the stamps that `learn` has chosen.
+
+        Record times are used only if ``batch`` has them. The result has no record times.
+        """
         stamps = batch.stamps_ns
         if self.use_record and batch.record_ns is not None:
             stamps = batch.record_ns
@@ -253,7 +256,7 @@ class CoveredTime:
             steps[0] >= (not self._was_new) and steps.min() >= 0 and steps.max() <= NEAR_NS
         )
         if continues_stretch and not any(
-            present[1] < begin <= last for begin, _ in self._stretches
+            begin <= last and present[1] < end for begin, end in self._stretches
         ):
             present[1], self._was_new = last, True
             return samples
@@ -330,7 +333,7 @@ class SampleFilter:
         return samples
 
     def _select(self, samples: ImuBatch) -> Flags:
-        """Return which samples are kept, (n,), if some stamps repeat or decrease."""
+        """Return which samples are neither duplicates nor excluded for a backward stamp, (n,)."""
         stamps, rows = samples.stamps_ns, samples.rows
         last_stamp, last_values = self._last
         repeats_values = (rows == np.column_stack([last_values, rows[:, :-1]])).all(axis=0)

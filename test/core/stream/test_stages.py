@@ -57,6 +57,14 @@ def test_equal_stamps_are_kept():
     assert new_times([0, 0, 1, 1], 2) == [0, 0, 1, 1]
 
 
+@pytest.mark.parametrize('chunk', [1, 2, 3])
+def test_a_covered_stretch_inside_another_does_not_end_it(chunk):
+    early = [0, NEAR_NS // 2, NEAR_NS]
+    covered = [(NEAR_NS // 4, NEAR_NS // 4 + 1)]  # between two samples
+    again = [NEAR_NS // 4, NEAR_NS // 2, NEAR_NS]
+    assert new_times([*early, *again], chunk, covered) == early
+
+
 @given(st.lists(st.integers(0, 40), max_size=120), st.integers(1, 50))
 @example([1, 2, 0, 2], 1)  # a step over the begin of a covered stretch
 def test_new_times_do_not_depend_on_chunks(steps, chunk):
