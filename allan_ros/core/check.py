@@ -290,10 +290,10 @@ Run = Mapping[str, AxisNoise]
 def differences(pairs: Iterable[tuple[str, Run, Run]]) -> list[tuple[Check, ...]]:
     """Compare the second recording of each pair with the first, and return the checks of each pair.
 
-    For each axis that both recordings have, the five terms are compared, and then the Allan
-    deviations at averaging times that both curves cover. The verdicts are corrected for the total
-    number of comparisons in all pairs: the probability of one or more false detections is at most
-    `FAMILY_ERROR`.
+    For each axis that both recordings have, the five terms are compared, if they are known, and
+    then the Allan deviations at averaging times that both curves cover. The verdicts are corrected
+    for the total number of comparisons in all pairs: the probability of one or more false
+    detections is at most `FAMILY_ERROR`.
 
     Parameters
     ----------

@@ -21,8 +21,8 @@ class ParameterInfo:
     """Description of one setting.
 
     ``doc`` is the help text of the setting. ``low`` and ``high`` are the smallest and the largest
-    valid value, None for no limit. ``choices`` are the only valid texts; empty if all texts are
-    valid. A ``read_only`` setting does not change while a node runs.
+    valid value, None for -`MAX_FLOAT` or `MAX_FLOAT`. ``choices`` are the only valid texts; empty
+    if all texts are valid. A ``read_only`` setting does not change while a node runs.
     """
 
     doc: str

@@ -119,7 +119,10 @@ class Period(ByValue):
         ).stored()
 
     def stored(self) -> Period:
-        """Return a copy without zeros at the ends of the arrays, and with rounded sums."""
+        """Return a copy with rounded sums of squares and powers.
+
+        Factors and octaves without data are removed from the ends of the arrays.
+        """
         factors, octaves = nonzero_length(self.count), nonzero_length(self.blocks)
         power = self.power[: bins_up_to(octaves)]
         return replace(

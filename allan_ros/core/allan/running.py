@@ -120,7 +120,7 @@ class _State:
     means: tuple[BlockMeans, ...] = ()
 
     def __deepcopy__(self, memo: object) -> _State:
-        """Return the state itself, which is immutable."""
+        """Return the state itself, because it is not changed after its creation."""
         return self
 
     def with_blocks(

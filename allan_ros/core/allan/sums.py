@@ -119,7 +119,7 @@ class AllanSums(ByValue):
     ) -> AllanSums:
         """Return the sums over zero samples.
 
-        Adding these sums to other sums of the same IMU and axes changes nothing.
+        Adding these sums to other sums with the same identity and axes changes nothing.
         """
         no_counts, no_sums = np.zeros(0, np.int64), np.zeros((0, len(axes)))
         no_table = no_stretches(len(axes))

@@ -49,8 +49,8 @@ STILL_IDLE = 0.05
 class Present(NamedTuple):
     """State of a stream, known faults of its latest samples, and noise of each axis.
 
-    ``noise`` maps each axis to the standard deviation of its white noise in the unit of the
-    samples. It is empty if the noise is not known, as in a motion.
+    ``noise`` maps each axis whose noise is known to the standard deviation of its white noise in
+    the unit of the samples. In a motion, the noise is not known.
     """
 
     state: State
@@ -62,10 +62,10 @@ class Present(NamedTuple):
 class Accumulation:
     """Results of a stream: Allan sums, health, findings and segments.
 
-    ``sums`` has one entry for all axes, or one per sensor if their rates differ. An axis without
-    data is in no entry. After a change of the sample rate or the frame_id, or after a fault,
-    ``sums`` contains the sums with the longest elapsed time of each axis. An axis can then be in
-    two entries, and its longer sums are in the later one. ``segments`` are the longest
+    ``sums`` has one entry for all axes, or one per sensor, for example if their rates differ. An
+    axis without data is in no entry. After a change of the sample rate or the frame_id, or after a
+    fault, ``sums`` contains the sums with the longest elapsed time of each axis. An axis can then
+    be in two entries, and its longer sums are in the later one. ``segments`` are the longest
     segments of the first entry of ``sums``.
     """
 
@@ -82,8 +82,8 @@ class ImuStream:
     is made at a position that is counted from the first sample, with a fixed look-ahead.
     ``hardware_id`` identifies the IMU if the user states it. ``sensor`` is 'gyro' or 'accel' if the
     other sensor is in another stream; this stream then ignores the values of the other sensor.
-    ``with_samples`` also keeps all samples at rest in memory, ``with_drives`` keeps the errors of
-    the latest drives between two rests, and ``with_means`` keeps the latest means over one second.
+    ``with_samples`` keeps samples at rest in memory (`samples`). ``with_drives`` keeps the errors
+    of the latest drives between two rests. ``with_means`` keeps the latest means over one second.
 
     With ``covered``, each time is counted once for each frame_id, as far as `CoveredTime` stores
     the earlier times: samples are excluded if earlier samples cover their time, or if their time is

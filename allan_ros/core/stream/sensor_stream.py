@@ -50,7 +50,7 @@ class RunningMeans:
         self.cut()
 
     def cut(self) -> None:
-        """Remove the incomplete mean, because a gap follows."""
+        """Remove the incomplete mean at the end of a segment."""
         self._start_ns: int | None = None
         self._second = 0  # index of the incomplete second, counted from `_start_ns`
         self._open: list[Floats] = []  # samples of the incomplete second
@@ -170,12 +170,12 @@ class SensorStream:
 
     @property
     def is_examined(self) -> bool:
-        """Whether samples at rest were searched for clipped values."""
+        """Whether samples of the published noise level were searched for clipped values."""
         return self._levels.published.is_examined
 
     @property
     def clipped(self) -> dict[str, float]:
-        """Axis -> share of its samples at rest that are at the end of the measurement range.
+        """Axis -> clipped share of its examined samples at the published noise level.
 
         Only shares of at least `MIN_CLIPPED` are included.
         """
@@ -197,8 +197,8 @@ class SensorStream:
         """Return the sums at the earlier sample rate with the most data, and at the present rate.
 
         If both rates are equal, the sums are added. Sums without samples are omitted. The sums at
-        the present rate are also omitted if their samples come from two IMUs, and there are sums at
-        an earlier rate.
+        the present rate are also omitted if their samples seem to come from two IMUs, and there are
+        sums at an earlier rate.
         """
         sums, segments = self._levels.published.result
         former = [] if self._former is None else [self._former]
@@ -215,7 +215,7 @@ class SensorStream:
 
     @property
     def is_interleaved(self) -> bool:
-        """Whether the samples at the present rate come from two IMUs."""
+        """Whether the first samples at the present rate seem to come from two IMUs."""
         return self.clock.is_interleaved
 
     @property
@@ -239,7 +239,7 @@ class SensorStream:
         self._end_segment()
 
     def _change_rate(self) -> list[ImuBatch]:
-        """Store the sums at the former rate, and return the blocks of samples at the new rate."""
+        """Keep the longest sums so far, and return the first blocks of samples at the new rate."""
         assert self.clock.clock is not None
         self._end_segment()
         self._former_ns = self._former_ns or self.clock.clock.period_ns

@@ -55,7 +55,8 @@ class SensorPlan:
 
     ``drop`` is 'repeated' for samples that repeat the previous sample on all axes, 'zero' for
     samples that are zero on all axes, or '' for no samples. ``random_repeats`` are groups of axes.
-    A sample that repeats the previous sample on all axes of a group is interpolated on these axes.
+    A sample that repeats the previous sample on all axes of a group is interpolated on these axes
+    (for exceptions, see `RepeatFilter`).
     """
 
     axes: tuple[str, ...]
@@ -82,7 +83,8 @@ def clipped_share(samples: Floats) -> float:
     """Return the share of samples, (n,), that are clipped at their maximum or minimum.
 
     `CLIPPED_RATIO` defines when a maximum or minimum is clipped. The larger of the two shares is
-    returned, or 0 if it is below `MIN_CLIPPED`. Samples that are not finite are ignored.
+    returned, or 0 if it is below `MIN_CLIPPED`. NaN and values of a magnitude above `LARGEST` are
+    ignored.
 
     >>> import numpy as np
     >>> noise = np.random.default_rng(0).normal(size=1000)

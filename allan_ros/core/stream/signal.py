@@ -171,7 +171,8 @@ def trace_of(source: str, readings: Iterable[tuple[int, int, float]]) -> Tempera
     """Return the plausible readings of a temperature sensor; None if no reading is plausible.
 
     ``source`` is the topic or column of the readings, and a reading is (header stamp in ns, record
-    time in ns, degC). If most readings are above `HOTTEST_IMU`, all are converted from K to degC.
+    time in ns, degC). If the median of the plausible readings is above `HOTTEST_IMU`, they are
+    converted from K to degC.
     """
     plausible = [r for r in readings if ABSOLUTE_ZERO < r[2] < HOTTEST]  # NaN is not in the range
     if not plausible:
@@ -269,7 +270,7 @@ class SignalSummary:
 
     @property
     def reach(self) -> Floats:
-        """Largest distance of a sample from ``middle`` in the used bins, (6,), in SI.
+        """Largest distance of ``low`` or ``high`` from ``middle`` in the used bins, (6,), in SI.
 
         If no axis has a distance above 0 in the used bins, all bins are examined. The result is 1
         for an axis without a distance above 0 in the examined bins.

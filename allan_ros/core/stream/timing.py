@@ -106,16 +106,18 @@ the last stamp by this value."""
 class Clock:
     """Sample period of a stream, typical step between its stamps, and quality of the stamps.
 
-    ``step_ns`` is in most cases the median step of the first stamps. Stamps are ``bursty`` if their
-    steps are too uneven to be regular (`REGULAR_SHARE`), as when samples arrive together. Stamps
-    have ``jitter`` if they scatter so much that the loss of a single sample may look like scatter.
+    ``step_ns`` is in most cases the median step of the first stamps. The steps of ``bursty`` stamps
+    are too uneven to be regular (`REGULAR_SHARE`), as when samples arrive together. With
+    ``jitter``, the stamps are assumed to scatter so much that the loss of a single sample may look
+    like scatter.
     """
 
     period_ns: float
     step_ns: float
     bursty: bool
     jitter: bool = False
-    # period in ns without missing samples, if samples are missing regularly; else 0
+    # shortest common step in ns, if samples are missing so regularly that it is not the period;
+    # else 0
     base_ns: float = 0.0
 
     @property
@@ -144,7 +146,7 @@ class Clock:
 def learned_from(stamps: Stamps) -> int:
     """Return how many stamps at the start are used to learn the period; 0 for too few stamps.
 
-    ``stamps``, (n,), are all stamps of the stream so far in ns.
+    ``stamps``, (n,), are the first stamps in ns.
 
     >>> import numpy as np
     >>> [learned_from(np.arange(2000) * 10**9 // rate) for rate in (20, 50, 100, 1000)]
@@ -161,11 +163,11 @@ def learn_clock(stamps: Stamps, polled: bool = False, declared: float = 0.0) -> 
     Backward stamps are ignored. If ``polled`` is set, the messages repeat the samples of a slower
     sensor, and ``stamps`` are the stamps of the messages with a new sample. The steps between these
     stamps are multiples of the period of the messages. If these steps are uneven, but even on
-    average (`POLLED_SHARE`), the mean step is the sample period.
+    average (`POLLED_SHARE`), their average is the sample period.
 
-    If samples of a sensor that is not polled are missing so regularly that the shortest step is not
-    the period, the shortest step is stored in ``base_ns``, or used as the period if it agrees with
-    the ``declared`` rate in Hz. Returns None if too few stamps differ (`FEWEST_STEPS`).
+    If samples of a sensor that is not polled are missing so regularly that the shortest steps are
+    not the period, their mean is stored in ``base_ns``, or used as the period if it agrees with the
+    ``declared`` rate in Hz. Returns None if too few stamps differ (`FEWEST_STEPS`).
     """
     if not has_time(stamps):
         return None
@@ -227,7 +229,7 @@ def _clock_of(steps: Floats, stamps: Stamps, polled: bool, declared: float) -> C
     """Estimate the period from ``stamps``, (n,), and the ``steps`` between them, (n - 1,), in ns.
 
     The ``declared`` rate in Hz, or 0 if unknown, helps to decide whether samples are late or lost,
-    and is used for bursty stamps.
+    and may be used for bursty stamps (`DECLARED_RANGE`).
     """
     size = max(1, min(CLOCK_BLOCK, len(steps) // 4))
     # one long gap does not change the median of the means over groups of steps
@@ -262,8 +264,8 @@ def rayleigh_period(stamps: Stamps, period: float, relative_range: float) -> flo
     ``stamps``, (n,), are in ns. The result maximizes the Rayleigh statistic of the phases of the
     stamps t, |sum exp(2 pi i t / p)|, over a grid of periods p for which 1/p differs from
     1/``period`` by at most the fraction ``relative_range`` (K. V. Mardia, P. E. Jupp, Directional
-    Statistics, 2000, section 6.3). Lost samples do not move the maximum. A step of more than
-    `PHASE_GAP` periods counts as one period.
+    Statistics, 2000, section 6.3). A few lost samples do not change the phases of the others. A
+    step of more than `PHASE_GAP` periods counts as one period.
     """
     stamp_steps = np.diff(stamps) / period
     times = np.cumsum(np.where(stamp_steps > PHASE_GAP, 1.0, stamp_steps))
@@ -294,8 +296,8 @@ this fraction of `CLOCK_BLOCK`."""
 class SampleClock:
     """Converts samples to evenly spaced blocks.
 
-    After the period is learned, at most one block of samples, and the look-ahead before and after
-    this block, are buffered.
+    After the period is learned, and until the rate changes, at most one block of samples, and the
+    look-ahead before and after this block, are buffered.
 
     ``clock`` is None until the period is learned from the first samples. Later, the period is
     updated from the stamps, which decrease only where the clock was set back. ``polled`` tells
@@ -308,7 +310,7 @@ class SampleClock:
     ) -> None:
         self.clock: Clock | None = None
         self.learned_ns = 0.0  # the period that was learned from the first samples
-        self.is_interleaved = False  # whether the first samples come from two IMUs
+        self.is_interleaved = False  # whether the first samples seem to come from two IMUs
         self._learned = LEARN  # number of samples from which the period was learned
         self.rate_changed = False
         self._settings = settings
@@ -346,7 +348,7 @@ class SampleClock:
         return self._process_ready(self._reach)
 
     def flush(self) -> list[ImuBatch]:
-        """Return the pending samples as blocks at the end of the input.
+        """Return the usable pending samples as blocks at the end of the input.
 
         If the sample rate changes, only blocks before the change are returned.
         """
@@ -355,7 +357,7 @@ class SampleClock:
         return self._process_ready(0)
 
     def _learn(self, number: int) -> None:
-        """Learn the period from the first samples; exclude samples whose stamps do not advance."""
+        """Learn the period from the first samples, or exclude samples that show no period."""
         first, self._learned = self._samples.stamps_ns[:number], number
         number_untimed = int(np.argmax(first != first[0])) or len(first)
         if number_untimed <= LEARN // FEWEST_STEPS:
@@ -511,7 +513,7 @@ class SampleClock:
         return round(increase) if increase > max(0.5 * pause, clock.smallest_loss) else 0
 
     def _blocks_of(self, begin: int, index_steps: Ints) -> list[ImuBatch]:
-        """Return the samples from buffer position ``begin`` on as blocks, with gaps interpolated.
+        """Return n samples from buffer position ``begin`` on as blocks, with gaps interpolated.
 
         ``index_steps``, (n,), are the steps of the sample index (see `_process`).
         """

@@ -248,7 +248,7 @@ class TransportMonitor:
             self._last_message, self._messages = time_s, messages
 
     def silence_s(self, time_s: float) -> float:
-        """Return the time in s since the last message, or since the start if there is none."""
+        """Return the time in s since a message was last counted, or since the start if none was."""
         return time_s - self._last_message
 
     def observe(
@@ -366,10 +366,7 @@ class TransportMonitor:
         return []
 
     def _recent_findings(self, health: StreamHealth) -> tuple[list[Finding], list[Finding]]:
-        """Return the findings about present events, and about past events within `LATELY_S`.
-
-        Each of the two lists is ordered from causes to effects.
-        """
+        """Return the findings about present events, and about past events within `LATELY_S`."""
         time_s, counts = self._history[-1]
         oldest_counts = self._history[0][1]
         earlier_counts = [
@@ -407,7 +404,7 @@ class TransportMonitor:
 
 
 def _until_now(event: Finding) -> Finding:
-    """Return the finding about an event, with a text that says that the event still occurs."""
+    """Return the finding about an event; a stated time is changed to one that lasts until now."""
     if 'when' not in event.values:
         return event
     return replace(event, values={**event.values, 'when': UNTIL_NOW})

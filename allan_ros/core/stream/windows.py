@@ -94,10 +94,10 @@ def is_stuck(rows: Floats, size: int) -> Flags:
 def von_neumann_ratio(parts: Iterable[Floats]) -> Floats:
     """Return the von Neumann ratio per axis, (axes,): 1 for white noise, near 0 for slow motion.
 
-    The ratio is half the mean square of the differences between neighboring samples, divided by the
-    variance within the parts. Each part, (axes, n), is a sequence of samples without a gap. The
-    ratio of constant samples is NaN, or 0 if their mean is rounded. Source: J. von Neumann, Annals
-    of Mathematical Statistics 12 (1941), 367.
+    The ratio is half the sum of the squared differences between neighboring samples, divided by the
+    sum of the squared deviations from the mean of each part. Each part, (axes, n), is a sequence of
+    samples without a gap. The ratio of constant samples is NaN, or 0 if their mean is rounded.
+    Source: J. von Neumann, Annals of Mathematical Statistics 12 (1941), 367.
     """
     parts = list(parts)
     differences = sum((np.diff(rows, axis=1) ** 2).sum(axis=1) for rows in parts)
