@@ -53,7 +53,7 @@ from .result_lines import findings_lines, results_lines
 
 EXITS = {
     0: 'done, even if a finding is an error',
-    EXIT_FAILED: 'with --fail-on: a finding of the given or a higher severity, or an exceeded limit',
+    EXIT_FAILED: 'with --fail-on: a finding of this or a higher severity, or an exceeded limit',
 }
 """Exit code of `analyze` -> meaning, for the codes with a meaning that not all verbs share."""
 

@@ -129,8 +129,8 @@ def _load(path: Path, options: ReadOptions) -> tuple[ImuBatch, ColumnLayout, str
     names = tuple(options.columns or COLUMN_NAMES.get(width, '').split(','))
     if len(names) != width or any('=' in name for name in names):
         raise AllanError(
-            f'{path} has shape {samples.shape}: give one row per sample, and name each column, such '
-            f'as --columns {",".join(["t", *AXES][:width])} (- excludes a column)'
+            f'{path} has shape {samples.shape}: give one row per sample, and name each column, '
+            f'such as --columns {",".join(["t", *AXES][:width])} (- excludes a column)'
         )
     layout = columns_of(path, names, options)
     columns = samples.reshape(n, width).T
