@@ -430,7 +430,7 @@ class ParameterPush(NodePart):
                 held.found = ()
 
     def _found_values(self) -> dict[str, Numbers]:
-        """Return parameter -> former value for each parameter that has been set."""
+        """Return parameter -> former value for each parameter that may have been set."""
         return {name: known.found for name, known in self._held.items() if known.found}
 
     def _restoring(self, reason: str) -> Requests:

@@ -65,7 +65,7 @@ class PushPlan:
 
 
 def load_push_plan(name: str) -> PushPlan:
-    """Read a plan, given its name in ``config/filters`` or the path of its .yaml file.
+    """Read a plan, given its name, as in ``config/filters``, or the path of its .yaml file.
 
     Raises AllanError if the name is unknown, or the file is invalid or cannot be read.
     """

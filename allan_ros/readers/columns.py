@@ -341,7 +341,7 @@ def columns_of(where: object, names: Sequence[str], options: ReadOptions) -> Col
 
 
 def _names_once(names: Sequence[str]) -> str:
-    """Return a value of --columns with all names; repeated names are replaced by '-'.
+    """Return a value of --columns with all names; repetitions of a name are replaced by '-'.
 
     The value is quoted for a shell if necessary.
     """
