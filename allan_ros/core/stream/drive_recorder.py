@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import copy
+import itertools
 import math
 from collections import Counter, deque
 from collections.abc import Iterable, Mapping
@@ -223,8 +224,15 @@ class DriveRecorder:
         return Rest(mean[:3], mean[3:], seconds)
 
     def _samples_before(self, stamp_ns: int) -> tuple[Floats, bool]:
-        """Remove the samples before a stamp; return them, (n, 6), and whether one follows a gap."""
+        """Remove the samples before a stamp; return them, (n, 6), and whether one follows a gap.
+
+        If the first buffered sample has a later stamp, and the clock was then set back, the samples
+        before this clock jump are removed, too.
+        """
         parts, is_split = [], False
+        while self._raw and self._raw[0].stamps_ns[0] > stamp_ns and self._has_jump():
+            parts.append(self._raw.popleft().samples)
+            is_split = True
         while self._raw and self._raw[0].stamps_ns[0] < stamp_ns:
             block = self._raw.popleft()
             number = int(np.searchsorted(block.stamps_ns, stamp_ns))
@@ -234,3 +242,7 @@ class DriveRecorder:
                 self._raw.appendleft(block.part(slice(number, None)))
         rows = np.concatenate(parts) if parts else np.empty((0, len(AXES)))
         return rows, is_split
+
+    def _has_jump(self) -> bool:
+        """Return whether the clock was set back after the first block of the buffered samples."""
+        return any(block.cut == 'clock jump' for block in itertools.islice(self._raw, 1, None))

@@ -23,8 +23,13 @@ def robot() -> SimulatedDrives:
     return simulate_drives(RATE, GYRO, ACCEL, Route(drives=6, shortest=8.0, longest=15.0), seed=2)
 
 
-def drives_of(samples: np.ndarray, size: int = 5000, keep: np.ndarray | None = None) -> Drives:
+def drives_of(
+    samples: np.ndarray, size: int = 5000, keep: np.ndarray | None = None, set_back: int = 0
+) -> Drives:
+    """Return the drives; at sample ``set_back``, if not 0, the clock is set back by 1000 s."""
     stamps = (np.arange(len(samples)) * round(1e9 / RATE)).astype(np.int64)
+    if set_back:
+        stamps[:set_back] += 10**12
     if keep is not None:
         stamps, samples = stamps[keep], samples[keep]
     stream = ImuStream(with_drives=True)
@@ -56,6 +61,16 @@ def test_a_drive_with_missing_samples_is_not_used(robot: SimulatedDrives) -> Non
     keep = np.ones(len(robot.samples), bool)
     keep[(begin + end) // 2 : (begin + end) // 2 + 100] = False
     drives = drives_of(robot.samples, keep=keep)
+    assert len(drives.errors) == 5
+    assert drives.unused == {'gap': 1}
+
+
+@pytest.mark.parametrize('size', [50, 1001, 100_000])
+def test_only_the_drive_in_which_the_clock_is_set_back_is_not_used(
+    robot: SimulatedDrives, size: int
+) -> None:
+    begin, end = robot.drives[2]
+    drives = drives_of(robot.samples, size, set_back=(begin + end) // 2)
     assert len(drives.errors) == 5
     assert drives.unused == {'gap': 1}
 
