@@ -246,10 +246,9 @@ class FilterNoise:
     def _process_row(self, path: tuple[str, ...], key: Key) -> Row:
         """Return the row of a parameter of the Gauss-Markov processes of x, y and z.
 
-        The parameter is sigma, tau or the driving density. The process of an axis is chosen so that
-        its error growth is closest to the error growth due to the drift of the axis, and, unless
-        `Target.bound` is False, never smaller. If all axes have one correlation time, only sigma is
-        chosen.
+        The parameter is sigma, tau or the driving density. The process of an axis replaces the
+        drift of the axis, with a similar error growth up to the horizon (`closest_process`). If all
+        axes have one correlation time, only sigma is chosen.
         """
         axes = self.axes_of(key.sensor)
         has_common_tau = any(other.what == 'common_tau' for other in self.target.keys)

@@ -60,7 +60,8 @@ MEANINGS = {
     },
 }
 """Key that states the meaning of a number -> value of this key -> (factor, note for the user). The
-number times the factor is N or B. A one-sided density is sqrt(2) N (IEEE Std 952-1997, C.1.1)."""
+number times the factor is the limit of N or B. A one-sided density is sqrt(2) N (IEEE Std 952-1997,
+C.1.1)."""
 
 
 @dataclass(frozen=True)
@@ -250,9 +251,9 @@ def exceeds_limit(check: Check, margin: float, axes: tuple[str, ...]) -> Finding
 
 
 def below_typical(check: Check, axes: tuple[str, ...]) -> Finding | None:
-    """Return the finding that N is implausibly far below the figure of a datasheet.
+    """Return the finding that N is implausibly far below the limit of a datasheet.
 
-    Returns None unless the complete 95 % interval of N lies below the figure divided by
+    Returns None unless the complete 95 % interval of N lies below the limit divided by
     `IMPLAUSIBLE_RATIO`.
     """
     ratio_ci95 = check.ratio.ci95 if check.ratio.resolved else None

@@ -76,8 +76,8 @@ class Results:
     baselines : mapping of name to Results
         Results of earlier recordings of this IMU, with which these results are compared.
     margin : float
-        Fraction by which a coefficient may exceed a limit: the figure of the datasheet, or the
-        coefficient in an earlier result. The figure of the datasheet is exceeded if the complete
+        Fraction by which a coefficient may exceed a limit: the limit of the datasheet, or the
+        coefficient in an earlier result. The limit of the datasheet is exceeded if the complete
         95 % interval of the coefficient lies above limit * (1 + margin). An earlier coefficient is
         exceeded if the new coefficient is significantly higher, and the complete 95 % interval of
         the ratio of the new to the earlier coefficient lies above 1 + margin.

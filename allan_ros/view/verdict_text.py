@@ -165,7 +165,7 @@ def _excesses(results: Results, exceeded: Sequence[Check], units: str) -> Iterat
 
 
 def warnings_and_errors(results: Results) -> list[Finding]:
-    """Return the warnings and errors among the findings; findings of several axes are merged."""
+    """Return the warnings and errors among the findings, merged and sorted by `grouped`."""
     return [found for found in grouped(results.findings) if found.severity != 'info']
 
 
