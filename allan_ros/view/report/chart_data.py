@@ -195,8 +195,7 @@ def times(summary: SignalSummary | None) -> dict[str, Any] | None:
 
     The keys of the result are ``time`` (times of the signal in s), ``starts`` (start of each
     recording after the first, in s) and ``bands``. A band is a marked time: (start in s, end in s,
-    kind). The kind is 'gap', the reason in `Excluded.why` for which the time is excluded, or
-    'other' if no reason is known.
+    kind). The kind is 'gap', the text in `Excluded.why`, or 'other' if this text is empty.
     """
     if summary is None:
         return None
