@@ -15,7 +15,8 @@ by a file or with --gyro, --accel, --gyro-x ..., in datasheet units:
 A specification has `noise`, `faults` or both, for example
   faults: {drop: 0.01, motion: [[60, 2.5]], vibration_gyro: 0.001, vibration_frequency: 25}
 
-OUT is an mcap bag (a folder), or a file in the format of its suffix: .mcap, .db3, .csv, .tsv, .npz.
+OUT is a file in the format of its suffix: .mcap, .db3, .csv, .tsv or .npz. Without a suffix, OUT is
+the folder of an mcap bag.
 """
 
 from __future__ import annotations

@@ -28,6 +28,9 @@ from .tables import FRAME_COMMENT
 BAG_FILES = {'.mcap': 'MCAP', '.db3': 'SQLITE3'}
 """Suffix of a bag in a single file, without metadata.yaml -> storage plugin of rosbags."""
 
+WRITTEN_SUFFIXES = (*BAG_FILES, '.csv', '.tsv', '.npz')
+"""Suffixes of the files that can be written. A name without a suffix is the folder of a bag."""
+
 METADATA_VERSION = 8
 """Version of the metadata.yaml that is written. Distributions before ROS 2 Jazzy cannot read the
 QoS of topics in version 9."""
@@ -45,7 +48,7 @@ def write_recording(
     Parameters
     ----------
     path : path
-        A file .mcap, .db3, .csv, .tsv or .npz; otherwise the folder of an mcap bag.
+        A file .mcap, .db3, .csv, .tsv or .npz; without a suffix, the folder of an mcap bag.
     batches : iterable of ImuBatch
         The samples, (n, 6), in the order of time, all with the same frame_id.
     topic : str
@@ -57,15 +60,16 @@ def write_recording(
     ------
     AllanError
         When the path exists and ``overwrite`` is not set, when it is a folder that is not a bag,
-        when it cannot be written or is a .bag file, or when a bag is to be written and a stamp does
-        not fit into it or the package ``rosbags`` is missing.
+        when it cannot be written or has another suffix, or when a bag is to be written and a stamp
+        does not fit into it or the package ``rosbags`` is missing.
     """
     path = Path(path)
     suffix = path.suffix.lower()
-    if suffix == '.bag':
+    if suffix and suffix not in WRITTEN_SUFFIXES:
         raise AllanError(
-            f'{path}: ROS 1 bags cannot be written: name a folder for an mcap bag, or a file '
-            '.mcap, .db3, .csv, .tsv or .npz'
+            f'{path}: {suffix} files cannot be written: give a file '
+            f'{", ".join(WRITTEN_SUFFIXES[:-1])} or {WRITTEN_SUFFIXES[-1]}, or a name without a '
+            'dot for the folder of an mcap bag'
         )
     # rosbags passes the path to SQLite within a URI, in which these characters have a meaning
     if suffix == '.db3' and {*'?#%'} & {*str(path.absolute())}:

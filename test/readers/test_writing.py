@@ -112,8 +112,9 @@ def test_others_read_our_bags(tmp_path: Path) -> None:
 def test_what_cannot_be_written_is_one_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    with pytest.raises(AllanError, match='ROS 1 bags cannot be written: name a folder'):
-        write_recording(tmp_path / 'run.bag', imu_batches(10))
+    for name in ('run.bag', 'run.xyz', 'run.cvs', 'run.CSVX'):
+        with pytest.raises(AllanError, match='files cannot be written: give a file'):
+            write_recording(tmp_path / name, imu_batches(10))
     with pytest.raises(AllanError, match='choose a path without'):
         write_recording(tmp_path / 'run?a=1.db3', imu_batches(10))
     stamp_of_2065 = np.array([3_000_000_000_000_000_000])
