@@ -232,13 +232,17 @@ def file_in(path: str | os.PathLike[str], name: str) -> str:
 def labels_of(paths: Sequence[str]) -> list[str]:
     """Return a label for each path.
 
-    The label is the name of the file without its suffix; for a results.json or sums.json, it is the
-    name of the folder. If two such labels are equal or one is empty, the paths are the labels.
+    The label is the name of the folder, or the name of the file without its suffix; for a
+    results.json or sums.json, it is the name of the folder that contains the file. If two such
+    labels are equal or one is empty, the paths are the labels.
     """
-    short_names = [
-        Path(path).resolve().parent.name if Path(path).name in (RESULTS, SUMS) else Path(path).stem
-        for path in paths
-    ]
+
+    def short_name(path: Path) -> str:
+        if path.name in (RESULTS, SUMS):
+            return path.resolve().parent.name
+        return path.name if os.path.isdir(path) else path.stem
+
+    short_names = [short_name(Path(path)) for path in paths]
     are_unique = len(set(short_names)) == len(short_names) and all(short_names)
     return short_names if are_unique else [str(path) for path in paths]
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 from support.exports import scaled
@@ -127,7 +128,9 @@ def test_a_recording_in_motion_is_named_first(small_results: Results) -> None:
     assert first.startswith('b: This is not a noise recording: ') and len(others) == 1
 
 
-def test_labels_are_short_if_they_are_unique() -> None:
+def test_labels_are_short_if_they_are_unique(tmp_path: Path) -> None:
+    (tmp_path / 'run.v2').mkdir()
+    assert labels_of([str(tmp_path / 'run.v2'), 'run.v1/results.json']) == ['run.v2', 'run.v1']
     assert labels_of(['a/results.json', 'b/sums.json']) == ['a', 'b']
     assert labels_of(['runs/one', 'two.mcap']) == ['one', 'two']
     assert labels_of(['a/x.json', 'b/x.json']) == ['a/x.json', 'b/x.json']
