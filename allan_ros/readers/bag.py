@@ -194,7 +194,7 @@ def _no_bag_in(path: Path) -> AllanError:
         )
     return AllanError(
         f'{path}: no bag in this folder (no {METADATA}, .db3 or .mcap): give the folder that '
-        'ros2 bag recorded'
+        'ros2 bag recorded, or other recordings (.csv, .npz, .ulg ...)'
     )
 
 

@@ -109,8 +109,8 @@ def read_bounded(path: str | os.PathLike[str], limit: int) -> bytes:
         data = file.read(limit + 1)
     if len(data) > limit:
         raise AllanError(
-            f'{os.fspath(path)}: is larger than {limit} bytes, the limit for such a file: '
-            'check the path'
+            f'{os.fspath(path)}: is larger than {limit} bytes, and therefore not a file of the '
+            'expected kind: check the path'
         )
     return data
 

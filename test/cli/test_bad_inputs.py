@@ -33,7 +33,8 @@ def test_an_empty_folder_and_a_damaged_log(
 ) -> None:
     folder = tmp_path / 'empty'
     folder.mkdir()
-    assert 'no bag in this folder' in refused(folder, capsys)
+    assert 'no bag in this folder' in (said := refused(folder, capsys))
+    assert said.endswith('or other recordings (.csv, .npz, .ulg ...)\n')
     pytest.importorskip('pyulog')
     log = tmp_path / 'log.ulg'
     log.write_bytes(ULOG + np.random.default_rng(1).bytes(50_000))
