@@ -186,13 +186,14 @@ def add_settings(
             metavar = 'TEXT'
         if info.percent and isinstance(default, float):
             metavar, default_text = 'PERCENT', f'{100.0 * default:g}%%'
-        if info.choices:
-            metavar = f'{{{",".join(filter(None, info.choices))}}}'
+        choices = tuple(filter(None, info.choices))  # '' is only a default
+        if choices:
+            metavar = f'{{{",".join(choices)}}}'
         group.add_argument(
             f'--{name}',
             dest=setting.name,
             type=_parser_of(info, default),
-            choices=info.choices or None,
+            choices=choices or None,
             default=default,
             metavar=metavar,
             help=f'{help_text}{unit}'

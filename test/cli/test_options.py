@@ -25,6 +25,7 @@ class Some(CheckedSettings):
     loud: bool = parameter(False, 'Be loud.')
     names: tuple[str, ...] = parameter((), 'Names.')
     kind: str = parameter('a', 'A kind.', choices=('a', 'b'))
+    unit: str = parameter('', 'A unit.', choices=('', 'm', 'km'))
 
 
 def parsed(words: list[str], settings_type: type = Some) -> argparse.Namespace:
@@ -48,6 +49,13 @@ def test_the_help_states_unit_and_default() -> None:
     said = ' '.join(parser.format_help().split())
     assert 'A limit of 50 % [s] (default 2.5)' in said
     assert all(f.name in said for f in fields(Some))
+
+
+def test_an_empty_choice_is_only_a_default(capsys: pytest.CaptureFixture[str]) -> None:
+    assert parsed([]).unit == ''
+    with pytest.raises(SystemExit):
+        parsed(['--unit', 'mile'])
+    assert "''" not in capsys.readouterr().err
 
 
 def test_a_list_of_columns_may_begin_with_a_dash() -> None:
