@@ -189,6 +189,8 @@ def _array(file: IO[bytes], where: str, kinds: str, limit: int) -> NDArray[Any]:
     ``dtype.kind``, such as 'fi'. ``limit`` is the largest accepted size of the array in bytes.
     """
     head = BytesIO(file.read(MAX_HEADER_BYTES))
+    if not head.getvalue().startswith(npy.MAGIC_PREFIX):
+        raise AllanError(f'{where} is not in numpy format: {REMEDY}')
     version = npy.read_magic(head)
     if version not in ((1, 0), (2, 0)):
         raise AllanError(f'{where} has numpy format {version}: save plain numbers with numpy.save')

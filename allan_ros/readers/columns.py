@@ -113,6 +113,17 @@ class Meaning(NamedTuple):
     is_si: bool = False  # whether the column is known to be in SI if its name states no unit
 
 
+LONGEST_NAME = 40
+"""Number of characters to which messages shorten the name of a column."""
+
+
+def column_list(names: Sequence[str]) -> str:
+    """Return the first column names, shortened, and the number of further names, as text."""
+    return listed(
+        [name if len(name) <= LONGEST_NAME else f'{name[:LONGEST_NAME]}...' for name in names]
+    )
+
+
 @dataclass(frozen=True)
 class ColumnLayout:
     """Which columns of a table contain samples, times and temperature."""
@@ -155,13 +166,13 @@ class ColumnLayout:
         if not self.axes:
             preamble_advice = 'remove lines above the header, or ' if header_line else ''
             raise AllanError(
-                f'{where}: no column ({listed(names)}) is a gyro or accel axis: {preamble_advice}'
-                f'name the columns, such as --columns {EXAMPLE_COLUMNS} ({LEFT_OUT} excludes a '
-                'column), or t=NAME,gx=NAME,...'
+                f'{where}: no column ({column_list(names)}) is a gyro or accel axis: '
+                f'{preamble_advice}name the columns, such as --columns {EXAMPLE_COLUMNS} '
+                f'({LEFT_OUT} excludes a column), or t=NAME,gx=NAME,...'
             )
         if not self.stamp and not with_times:
             raise AllanError(
-                f'{where}: no column ({listed(names)}) contains the time: name it with '
+                f'{where}: no column ({column_list(names)}) contains the time: name it with '
                 '--columns t=NAME, or state the sample rate (--rate 200, rate=200)'
             )
 
@@ -404,7 +415,7 @@ def picked_names(where: object, names: tuple[str, ...], pairs: tuple[str, ...]) 
             if names.count(old_name) > 1:
                 remedy = f'name each column in order, such as --columns {_names_once(names)}'
             raise AllanError(
-                f'{where}: {len(positions)} columns ({listed(names)}) are named {old_name!r}: '
+                f'{where}: {len(positions)} columns ({column_list(names)}) are named {old_name!r}: '
                 f'{remedy}'
             )
         unit = _BRACKET.match(names[positions[0]])

@@ -304,9 +304,17 @@ _Loader.add_implicit_resolver(
 
 def parse_yaml(text: str) -> Any:
     """Parse a YAML or JSON text; raise yaml.YAMLError if it is invalid or not supported."""
-    loader = _Loader(text)
+    try:
+        loader = _Loader(text)
+    except yaml.reader.ReaderError as error:
+        line = text.count('\n', 0, error.position) + 1
+        raise yaml.YAMLError(f'line {line} has a character that YAML does not allow') from error
     try:
         return loader.get_single_data()
+    except yaml.MarkedYAMLError as error:
+        mark = error.problem_mark or error.context_mark
+        reason = ', '.join(filter(None, (error.context, error.problem)))
+        raise yaml.YAMLError(f'line {mark.line + 1}: {reason}') from error
     except RecursionError:
         raise yaml.YAMLError('it is nested too deeply') from None
     except (ValueError, ArithmeticError, LookupError, AttributeError) as error:  # an invalid date
@@ -335,8 +343,8 @@ def read_yaml(path: Path, limit: int = 100_000) -> Any:
     try:
         return parse_yaml(read_text(path, limit))
     except yaml.YAMLError as error:
-        where = ' '.join(str(error).split())
-        raise AllanError(f'{path}: is not YAML ({where[:120]}): correct the file') from error
+        reason = ' '.join(str(error).split())
+        raise AllanError(f'{path}: is not YAML ({reason[:120]}): correct the file') from error
 
 
 def config_names(kind: str) -> list[str]:

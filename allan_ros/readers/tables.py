@@ -36,12 +36,13 @@ from .columns import (
     FIRST_ROWS,
     LEFT_OUT,
     ColumnLayout,
+    column_list,
     columns_of,
     names_by_file,
     picked_names,
 )
 from .files import open_regular
-from .recording import BATCH, ReadOptions, Recording, Report, SourceInfo, listed
+from .recording import BATCH, ReadOptions, Recording, Report, SourceInfo
 from .unit_names import to_celsius
 
 T = TypeVar('T')
@@ -55,6 +56,9 @@ MAX_LINE = 1 << 20
 
 QUOTED = re.compile('"[^"]*"')
 """Regular expression for a quoted part of a line."""
+
+CONTROL_CHARACTER = re.compile('[\x00-\x08\x0e-\x1f]')
+"""Regular expression for a control character other than white space. Text has none."""
 
 DATE = re.compile(r'\s*\d{4}-\d\d-\d\d[T ]\d\d:\d\d')
 """Regular expression for the start of a date with a time (ISO 8601)."""
@@ -113,7 +117,7 @@ class _SampleTable:
             report(finding('stamp_unit_assumed', path=self.path, unit=unit, name=name))
         unrecognized, missing_axes = self.columns.unrecognized, len(AXES) - len(self.columns.axes)
         if 0 < missing_axes <= len(unrecognized):
-            report(finding('columns_unrecognized', path=self.path, names=listed(unrecognized)))
+            report(finding('columns_unrecognized', path=self.path, names=column_list(unrecognized)))
         column, unit = self.columns.temperature or (None, '')
         with _text(self.path) as file:
             for rows in self._rows(file, report):
@@ -172,7 +176,7 @@ def _layout(path: Path, file: TextIO, options: ReadOptions) -> _SampleTable:
             break
     else:
         raise AllanError(f'{path}: has no line of data: record or export it again')
-    if '\0' in line:
+    if CONTROL_CHARACTER.search(line):
         raise AllanError(f'{path}: is UTF-16 or not text: save the table as UTF-8')
     delimiter = next((mark for mark in '\t;,' if mark in QUOTED.sub('', line)), '')
     further_lines = (

@@ -115,6 +115,12 @@ def test_duplicate_columns_are_rejected() -> None:
         arrays.recording_in_memory(frame, ReadOptions())
 
 
+@pytest.mark.parametrize('name', ['imu.npz', 'imu.npy'])
+def test_a_text_with_the_name_of_an_array_is_rejected(name: str, tmp_path: Path) -> None:
+    (tmp_path / name).write_text('t,gx,gy,gz,ax,ay,az')
+    assert 'is not in numpy format: save' in refused(tmp_path / name)
+
+
 def test_an_array_without_columns_is_rejected() -> None:
     with pytest.raises(AllanError, match='0 columns, but 3 axes'):
         arrays.recording_in_memory(np.zeros((5, 0)), ReadOptions(rate_hz=100.0), 'gyro')

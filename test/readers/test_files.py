@@ -90,6 +90,22 @@ def test_a_date_that_does_not_exist_is_an_error_of_the_file(tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize(
+    'text, reason',
+    [
+        ('a: 1\nb: c: d', 'line 2: mapping values are not allowed here'),
+        ('a: 1\n@b', "line 2: while scanning for the next token, found character '@' that"),
+        ('a: 1\n\0', 'line 2 has a character that YAML does not allow'),
+    ],
+)
+def test_an_error_in_a_yaml_file_states_the_line(text: str, reason: str, tmp_path: Path) -> None:
+    path = tmp_path / 'a.yaml'
+    path.write_text(text)
+    with pytest.raises(AllanError) as error:
+        read_yaml(path)
+    assert str(error.value).startswith(f'{path}: is not YAML ({reason}')
+
+
+@pytest.mark.parametrize(
     'text, value',
     [
         ('{"N": 1e-4}', {'N': 1e-4}),

@@ -465,6 +465,8 @@ COLUMNS = tuple(HEADER.strip().split(','))
         (f'Device: Foo\n{HEADER}1,{ROW}\n', {}, 'remove lines above the header'),
         (f'Foo\n{HEADER}1,{ROW}\n', {'columns': ('gx=w_x',)}, 'line 1: 0 columns (Foo) are'),
         (f'Device: Foo\n{HEADER}1,{ROW}\n', {'columns': COLUMNS}, 'line 1 has 2 columns, but'),
+        ('\x7fELF\x02,\n', {}, 'not text'),
+        (f'{"a" * 5000}\n1\n', {}, f'no column ({"a" * 40}...) is a gyro'),
         ('<html><h1>404</h1></html>', {}, 'line 1: no column (<html><h1>404</h1></html>) is a'),
         ('t,gx [mph],gy,gz\n1,2,3,4\n', {}, "the unit of column 'gx [mph]' is unknown"),
         ('t,gx,gy,gz\n1,"2,3,4\n', {}, 'line 2 is not a row of a table'),
