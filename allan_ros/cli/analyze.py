@@ -127,13 +127,13 @@ def recordings_in(path: str, files_are_units: bool = False) -> list[str]:
     A folder is one recording if it has a metadata.yaml, or if the only recording in it is a bag of
     one .mcap or .db3 file, or of numbered files of these formats. With ``files_are_units``,
     numbered files without metadata.yaml are separate recordings. A subfolder is a recording if it
-    contains a metadata.yaml or files of a bag. If a folder contains folders of analyses and no
-    recording, the paths of these folders are returned. A folder that is itself the result of an
+    contains a metadata.yaml or files of a bag. If a folder contains folders with a results.json
+    and no recording, the paths of these folders are returned. A folder that is itself the result of an
     analysis, or contains nothing to read, is returned as it is, too. The paths are sorted, with the
     folders of bags before the files.
 
     Raises AllanError if a folder is the result of an analysis, and also contains recordings or
-    folders of other analyses: only some of them would be read.
+    folders with a results.json: only some of them would be read.
     """
     folder = Path(path)
     if not folder.is_dir():

@@ -126,7 +126,7 @@ def make_export(
 
 
 OWN_OUTPUT = re.compile(rb'\ballan_ros \d')
-"""Name and version of this package, which the header of every exported file contains."""
+"""Pattern of the name and version of this package in the header of every exported file."""
 
 
 def write_export(
@@ -158,7 +158,10 @@ def write_export(
 
 
 def check_own_output(path: Path) -> None:
-    """Raise AllanError if there is a file, other than an empty file or an exported file."""
+    """Raise AllanError if there is a file that is neither empty nor contains `OWN_OUTPUT`.
+
+    Also raises AllanError if the path is a folder or a device.
+    """
     try:
         with open_regular(path) as file:
             content = file.read(MAX_BYTES)
