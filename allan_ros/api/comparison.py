@@ -83,10 +83,10 @@ def compare(
     *sources : Results or path
         Results of `analyze` or `load`, or paths of a results.json, a sums.json, the folder of an
         analysis, a recording, or the truth file of a simulated recording. If there is a truth file,
-        the other inputs are compared with the truth. In the output, each path has the name of its
-        file without the suffix, or of its folder for a results.json or sums.json. If two of these
-        names are equal, the paths are the names. Results of `analyze` or `load` have the
-        names A, B, C ..., according to their position; truth files are placed first.
+        the other inputs are compared with the truth. In the output, each path is named after its
+        file or folder. If two of these names are equal, the paths are the names. Results of
+        `analyze` or `load` have the names A, B, C ..., according to their position; truth files are
+        placed first.
     sensor : str, or list or tuple of str
         Datasheets to compare each recording with: names that `allan sensors` lists, or paths of
         .yaml files.

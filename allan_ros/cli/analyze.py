@@ -127,8 +127,8 @@ def recordings_in(path: str, files_are_units: bool = False) -> list[str]:
     A folder is one recording if it has a metadata.yaml, or if the only recording in it is a bag of
     one .mcap or .db3 file, or of numbered files of these formats. With ``files_are_units``,
     numbered files without metadata.yaml are separate recordings. A subfolder is a recording if it
-    contains a metadata.yaml or files of a bag. If a folder contains folders with a results.json
-    and no recording, the paths of these folders are returned. A folder that is itself the result of an
+    contains a metadata.yaml or files of a bag. If a folder contains folders with a results.json and
+    no recording, the paths of these folders are returned. A folder that is itself the result of an
     analysis, or contains nothing to read, is returned as it is, too. The paths are sorted, with the
     folders of bags before the files.
 
