@@ -173,7 +173,7 @@ class Check:
         Pharmacokin. Biopharm. 15, 1987): if the true ratio is at an end of the range, the result is
         'same' with a probability of at most 5 %.
         """
-        if self.ratio.value is None or self.ratio.ci95 is None:
+        if self.ratio.value is None or self.ratio.value <= 0.0 or self.ratio.ci95 is None:
             return 'undecided'
         limit, center = math.log1p(within), math.log(self.ratio.value)
         log_ends = (math.log(end) if end > 0.0 else -math.inf for end in self.ratio.ci95)

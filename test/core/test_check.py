@@ -206,6 +206,12 @@ def test_equality_up_to_a_fraction_is_tested_from_both_sides(ratio, ci95, answer
     assert d.equivalence(0.05) == answer
 
 
+@pytest.mark.parametrize('value', [0.0, -1.0])
+def test_a_ratio_of_0_or_below_shows_no_equivalence(value: float) -> None:
+    ratio = Estimate(value, (value - 0.5, value + 0.5))
+    assert Check('gyro_x', 'R', ratio=ratio).equivalence(0.05) == 'undecided'
+
+
 @pytest.mark.parametrize(
     ('ends', 'expected'),
     [

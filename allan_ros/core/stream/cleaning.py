@@ -141,9 +141,9 @@ class StampSorter:
     """Sorts samples that arrive slightly out of order, for example over UDP.
 
     Windows of 2 * `REORDER` samples, which overlap by half, are sorted. A window with a sample that
-    is delayed by more than `REORDER` sample periods is not sorted, because the clock was set back
-    within the window, or the stamps come from two clocks. ``sorted`` is the number of late samples
-    in the windows that were sorted.
+    is delayed by more than about `REORDER` sample periods is not sorted, because the clock was
+    probably set back within the window, or the stamps come from two clocks. ``sorted`` is the
+    number of late samples in the windows that were sorted.
     """
 
     def __init__(self, stamps: Stamps = np.empty(0, np.int64)) -> None:

@@ -160,7 +160,8 @@ class ImuStream:
     def drives(self) -> Drives:
         """Return the latest drives between two rests; empty unless ``with_drives`` was set.
 
-        The drives have the frame_id with the most data and the latest sample rate that is known.
+        The drives have the frame_id with the largest number of used samples, and the latest sample
+        rate that is known.
         There are none if an axis is absent, if gyro and accelerometer have different rates or are
         in different streams, or if motion detection is switched off. Before `end`, a drive is
         included when its second rest is over or long enough.
@@ -295,7 +296,7 @@ class FrameStream:
     """Chooses the stamps of the samples with one frame_id, and divides them into sensor streams.
 
     ``sensors`` contains one stream for all usable axes, or one stream per sensor, for example if
-    the rates differ. It is empty until the first samples are evaluated, and if no axis is usable.
+    the rates differ. It is empty while the first samples are buffered, and if no axis is usable.
     ``notes`` are the findings about these samples. If the first samples have a fault that may end
     (`IDLE`, `ABSENT`, `UNTIMED`), the next samples are examined, `CHECKED` at a time, before they
     are processed. When the fault has ended, new sensor streams begin, and the former streams become

@@ -87,8 +87,9 @@ class SignalEnvelope:
         return -(-self._samples // self._step)
 
     def statistics(self, step: int = 1) -> dict[str, Floats]:
-        """Return name -> statistic of each group of ``step`` bins, (groups, 6), in SI.
+        """Return name -> statistic of the samples in each group of ``step`` bins, (groups, 6).
 
+        The samples are in SI.
         The last group may have fewer bins. `BIN_STATISTICS` lists the names of the statistics.
         """
         starts = np.arange(0, self.bins, step)
