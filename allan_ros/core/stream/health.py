@@ -145,8 +145,8 @@ class Event(NamedTuple):
 class Segment(NamedTuple):
     """Used samples without a gap between them, the first of which has the stamp ``start_ns``.
 
-    ``cut`` is the reason for the split before the segment, such as 'gap' or 'motion'; '' if there
-    was no such reason, as before the first segment of an IMU that is at rest from the start.
+    ``cut`` is the reason for the split before the segment, such as 'gap' or 'motion'; '' if none
+    is known, as before the first segment of an IMU that is at rest from the start.
     """
 
     start_ns: SignedInt

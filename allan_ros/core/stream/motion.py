@@ -54,15 +54,15 @@ windows are longer (`LEAST_WINDOW`), and at very high rates shorter (`MOST_WINDO
 
 BLOCK_WINDOWS = 32
 """Number of windows in a block. The noise floor is learned from a block, and updated after each
-further block. Another noise level begins if the noise is increased in all windows of a block. One
-block is buffered: 0.15 MB for six axes at 200 Hz, 15 MB at 20 kHz."""
+block. Another noise level begins if the noise is increased in all windows of a block. One block is
+buffered: 0.15 MB for six axes at 200 Hz, 15 MB at 20 kHz."""
 
 MOST_WINDOW = 1 << 15
 """Largest number of samples in a window. It is reached at 65 kHz; 50 MB are then buffered."""
 
 CHECKED_WINDOWS = BLOCK_WINDOWS // 4
-"""Number of windows between two checks. A check decides whether the present noise level continues,
-a new noise level begins, or the other stored noise level continues."""
+"""Smallest number of windows between two checks. A check decides whether the present noise level
+continues, a new noise level begins, or the other stored noise level continues."""
 
 ESTABLISHED_S = 45.0
 """A noise level with less than this time in s at rest, or with clipped samples, is not established.

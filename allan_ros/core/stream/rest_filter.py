@@ -7,10 +7,9 @@ Method
 An isolated spike is replaced by the mean of its neighbors, unless the noise of the axis has heavy
 tails. A motion begins with a window above the limits of the noise floor, and ends after some
 windows below lower limits. A shock is a short motion that changes neither the mean of an axis nor
-the direction of the IMU. Unless too many samples of the segment have been replaced, a shock is
-replaced by a line between the means before and after the shock, and the segment continues.
-The windows of a motion that may be a shock are held until the motion ends. `ImuBatch.filled` marks
-replaced samples.
+the direction of the IMU. Unless too many samples have been replaced, a shock is replaced by
+a line between the means before and after the shock, and the segment continues. The windows of a
+motion that may be a shock are held until the motion ends. `ImuBatch.filled` marks replaced samples.
 """
 
 from __future__ import annotations
