@@ -189,7 +189,8 @@ class StreamHealth:
     rate_hz: float | None = None  # sample rate; None while it is not known
     bursty: bool = False  # whether stamps come in bursts
 
-    # sample rate without missing samples, if samples are missing regularly; else None
+    # sample rate without missing samples, if samples are missing so regularly that `rate_hz` is
+    # lower; else None
     base_rate_hz: float | None = None
     first_ns: int | None = None  # first stamp with the current frame_id
     stamps: str = 'header'  # which stamps are used: 'header' or 'record'
