@@ -210,7 +210,10 @@ class ImuStream:
         return at_end if is_first and at_end.state == 'moving' else present
 
     def _add_frame(self, frame_id: str) -> FrameStream:
-        """Start the stream of a new frame_id; of two existing streams, remove the smaller one."""
+        """Start the stream of a new frame_id.
+
+        If there are two streams already, the one with fewer used samples is removed.
+        """
         if len(self._frames) > 1:
             smallest = min(self._frames.values(), key=lambda frame: frame.counts.used)
             del self._frames[smallest.identity.frame_id]
