@@ -178,8 +178,8 @@ class NoiseLevels:
     def lost(self) -> int:
         """Number of noise levels that were `published` until a later level replaced them.
 
-        A level that is `published` again is not counted. A level that is kept, because its noise
-        may return, is counted when the later level has samples.
+        A level that is `published` again, or has no samples, is not counted. A level that is kept,
+        because its noise may return, is counted when the later level has samples.
         """
         return self._drops + (not self.is_tried and self._precedes_present(self.other))
 
@@ -237,7 +237,7 @@ class NoiseLevels:
         None.
         """
         assert self.other is not None
-        self.present.close()
+        self._end_present()
         was_tried, self.is_tried = self.is_tried, False
         if was_tried:
             self._dropped.add(self.present.counted_as(self.change))
@@ -284,9 +284,12 @@ class NoiseLevels:
         self.largest_ratio = np.ones_like(self.largest_ratio)
         self.smallest_ratio = np.ones_like(self.smallest_ratio)
 
-    def _begin(self, floor: NoiseFloor) -> None:
+    def _end_present(self) -> None:
         self.present.close()
         if self._first_ns is None and self.present.samples:
             self._first_ns = self.present.first_ns
+
+    def _begin(self, floor: NoiseFloor) -> None:
+        self._end_present()
         self.present = self._start()
         self.present.floor = floor

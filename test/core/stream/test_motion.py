@@ -307,3 +307,16 @@ def test_a_level_with_negative_stamps_is_counted_when_the_later_level_has_sample
     assert levels.lost == 0
     levels.present.add(ImuBatch.of_rows(-(10**11) + np.arange(100) * 10**7, rows))
     assert levels.lost == 1
+
+
+def test_the_discarded_time_begins_with_the_first_level_that_had_samples():
+    levels = NoiseLevels(partial(NoiseLevel, ImuIdentity(), AXES))
+    rows = np.random.default_rng(0).normal(size=(6, 100))
+    levels.try_another(levels.present.floor, 'noise_increased', 0)
+    levels.present.add(ImuBatch.of_rows(1000 * 10**9 + np.arange(100) * 10**7, rows))
+    levels.accept()
+    levels.resume()
+    levels.present.add(ImuBatch.of_rows(1020 * 10**9 + np.arange(100) * 10**7, rows))
+    assert levels.lost == 1 and levels.lost_s == 20.0
+    levels.try_another(levels.present.floor, 'noise_increased', 0)
+    assert levels.lost == 1 and levels.lost_s == 20.0
