@@ -162,8 +162,8 @@ class FilterNoise:
         refused_findings = [each for each in results.findings if each.id in REFUSED]
         if refused_findings and not options.force:
             raise AllanError(
-                'the numbers are wrong; correct the cause and analyze again, or give --force to '
-                'write them nevertheless:',
+                'the numbers are wrong, so only `allan export --force`, or force=True in Python, '
+                'writes them:',
                 (refused_findings[0],),
             )
         self.results = results

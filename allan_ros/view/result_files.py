@@ -27,7 +27,7 @@ from ..results.documents import (
     fingerprint,
     sums_file_to_document,
 )
-from .finding_text import explained, finding_line
+from .finding_text import finding_line
 from .report import render_report
 from .result_document import result_document
 
@@ -163,7 +163,9 @@ def _filter_files(results: Results, targets: Sequence[str]) -> tuple[dict[str, s
         try:
             files[target.file_name] = make_export(results, name, words=finding_line).text
         except AllanError as error:
-            failure = finding('file_left_out', file=target.file_name, why=str(explained(error)))
+            # the results contain the findings of the error, too, so they are not repeated here
+            reason = str(error).rstrip(':')
+            failure = finding('file_left_out', file=target.file_name, why=reason)
             results = replace(results, findings=(*results.findings, failure))
     return files, results
 
