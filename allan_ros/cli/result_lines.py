@@ -140,8 +140,8 @@ def results_lines(
             yield f'{sensor} {names_without_fit}: no coefficients'
     yield from _temperature_lines(results, units, columns)
     yield from _filter_lines(results, columns)
-    yield ''
-    yield from wrapped(_legend(results), columns)
+    if any(_has_numbers(results, axis) for axis in results.axes):
+        yield from ('', *wrapped(_legend(results), columns))
     if results.datasheet is not None:
         yield from ('', *datasheet_lines(results, units, columns))
     yield from findings_lines(results, units, columns, colors, complete)

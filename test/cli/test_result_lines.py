@@ -130,6 +130,16 @@ def test_a_method_without_intervals_is_reported(small_results: Results) -> None:
     assert 'method paper gives no intervals' in lines_of(results, 'SI', 100)
 
 
+def test_no_method_is_blamed_if_there_are_no_coefficients(small_results: Results) -> None:
+    axes = {
+        name: replace(axis, fit=replace(axis.fit, noise={term: Estimate(None) for term in TERMS}))
+        for name, axis in small_results.axes.items()
+    }
+    lines = lines_of(replace(small_results, axes=axes), 'SI', 100)
+    assert 'gyro x, y, z: no coefficients' in lines
+    assert not any('intervals' in line for line in lines)
+
+
 def test_the_largest_deviation_is_shown_where_there_is_one(small_results: Results) -> None:
     axes = {
         name: replace(axis, fit=replace(axis.fit, deviation=bent))

@@ -64,6 +64,11 @@ def add_lengths(a: Lengths, b: Lengths) -> Lengths:
     return tuple(total[i] for i in sorted(total))
 
 
+LEAST_EQUAL = 100
+"""Least number of second differences, all of them 0, for which an axis is said to have no noise.
+Fewer differences can be 0 by chance because the resolution is coarse."""
+
+
 @dataclass(frozen=True, eq=False)
 class AllanSums(ByValue):
     """Sums over the samples of one stream; ``+`` adds another recording of the same IMU.

@@ -16,7 +16,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..allan.at_rest import step_of_sums
-from ..allan.sums import AllanSums, part
+from ..allan.sums import LEAST_EQUAL, AllanSums, part
 from ..errors import AllanError
 from ..estimate import Estimate
 from ..findings import Finding, finding
@@ -170,7 +170,7 @@ def fit_likelihood(sums: AllanSums, statistics_of_axes: Sequence[Statistics] = (
         is_constant = _is_constant(sums, a)
         if number < LEAST_STATISTICS or is_constant:
             axes[name] = without_estimates()
-            has_no_noise = is_constant and len(sums.count) > 0
+            has_no_noise = is_constant and sums.count[:1].sum() >= LEAST_EQUAL
             id, numbers = (
                 ('no_noise', {})
                 if has_no_noise

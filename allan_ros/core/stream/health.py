@@ -13,7 +13,7 @@ from typing import Any, Generic, Literal, NamedTuple, TypeVar
 
 import numpy as np
 
-from ..allan.sums import AllanSums
+from ..allan.sums import LEAST_EQUAL, AllanSums
 from ..fields import SignedInt
 from ..findings import Finding, finding
 from ..imu import AXES, SAMPLE_UNITS, SENSORS, STANDARD_GRAVITY, UNITS, Floats, Stamps, sensor_of
@@ -356,7 +356,7 @@ def stream_findings(
     add('motion', c.moving and not never_at_rest, share=c.moving / classified)
     for stream_sums in sums:
         axes_without_noise: tuple[str, ...] = ()
-        if len(stream_sums.m):
+        if len(stream_sums.m) and stream_sums.count[0] >= LEAST_EQUAL:
             has_no_noise = stream_sums.sum_sq[0] == 0.0
             axes_without_noise = tuple(np.array(stream_sums.axes)[has_no_noise].tolist())
         add('no_noise', axes_without_noise, axes_without_noise)

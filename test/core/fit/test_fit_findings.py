@@ -54,6 +54,8 @@ def test_the_finding_of_a_sinusoid_depends_on_its_frequency(hertz, id, words):
     ('samples', 'id'),
     [
         (np.full((5000, 1), 9.8), 'no_noise'),
+        (np.full((60, 1), 9.8), 'record_too_short'),
+        (np.full((2, 1), 9.8), 'record_too_short'),
         (np.random.default_rng(0).normal(size=(8, 1)), 'record_too_short'),
     ],
 )

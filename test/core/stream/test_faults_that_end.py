@@ -177,3 +177,8 @@ def test_the_last_sums_of_an_axis_are_the_longest(sensor):
     for axis, length in seconds.items():
         assert length == max(s.elapsed_ns * 1e-9 for s in sums if axis in s.axes)
         assert (length > 100) == (not axis.startswith(sensor))
+
+
+@pytest.mark.parametrize('samples, has_finding', [(2, False), (60, False), (1000, True)])
+def test_few_equal_samples_do_not_show_that_a_sensor_has_no_noise(samples, has_finding):
+    assert ('no_noise' in ids(stream(np.full((samples, 6), 9.8), 100))) == has_finding
