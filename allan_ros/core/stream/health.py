@@ -433,7 +433,7 @@ def _equal_axes(sums: AllanSums) -> list[Finding]:
 
 
 def unit_findings(sums: Sequence[AllanSums]) -> list[Finding]:
-    """Return findings about sensors whose values are implausible in SI units.
+    """Return findings about sensors whose values are implausible in SI units or without gravity.
 
     ``sums`` are the Allan sums of an IMU, of both sensors together or of each sensor. Of a gyro, N
     and the mean rate are examined, and of an accelerometer with three axes, the magnitude of the
@@ -532,8 +532,8 @@ def gravity_unit(norm: float) -> str:
 def gravity_findings(norm: float, axes: tuple[str, ...]) -> list[Finding]:
     """Return a finding if the magnitude of a mean acceleration at rest differs from gravity.
 
-    ``norm`` is the magnitude in m/s^2. There is no finding if it is below `WEIGHTLESS`, because
-    gravity may have been removed on purpose.
+    ``norm`` is the magnitude in m/s^2. Below `WEIGHTLESS`, the finding is a note, because gravity
+    may have been removed on purpose.
     """
     if abs(norm / STANDARD_GRAVITY**2 - 1.0) < G_BAND:
         # g was declared as the unit, but the samples were in m/s^2
@@ -542,4 +542,5 @@ def gravity_findings(norm: float, axes: tuple[str, ...]) -> list[Finding]:
     if unit:
         is_si = unit == 'm/s^2'
         return [] if is_si else [finding('accel_unit', axes, norm=norm, unit=unit)]
-    return [finding('accel_scale', axes, norm=norm)] if norm >= WEIGHTLESS else []
+    id = 'accel_scale' if norm >= WEIGHTLESS else 'no_gravity'
+    return [finding(id, axes, norm=norm)]

@@ -225,6 +225,8 @@ def test_an_imu_without_gravity_is_not_taken_for_exchanged_sensors(factor, expec
     x[:, 5] -= 9.8
     found = accumulate(t, x * ([factor] * 3 + [1.0] * 3)).findings
     assert [f.id for f in found if f.severity == 'error'] == expected
+    (note,) = [f for f in found if f.id == 'no_gravity']
+    assert note.severity == 'info' and note.axes == AXES[3:] and note.values['norm'] < 0.01
 
 
 def test_a_stuck_axis_is_named():
