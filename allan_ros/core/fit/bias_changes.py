@@ -297,7 +297,7 @@ class _Sensor:
     def gain(self, time: float) -> float:
         """Return the gain in -2 log L of a settling with the time constant ``time`` in samples.
 
-        The gain is summed over the axes.
+        The gains of the axes are added; a negative gain counts as 0.
         """
         return sum(max(fitted.gain, 0.0) for fitted in self.effects(time).values())
 

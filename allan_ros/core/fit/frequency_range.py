@@ -261,7 +261,9 @@ def _highest_trial(rules: Selection) -> _Trial:
 
     A trial passes if the model passes all tests. A trial that does not use all frequencies passes
     only if also the highest octave of the data has less power than the white noise of the model.
-    Frequencies at which a filter has removed much power are skipped (`LOST_POWER`).
+    Frequencies at which a filter has removed much power are skipped (`LOST_POWER`). If a fast
+    process explains the spectrum (`_bends_like_noise`), the highest frequency is tried before it is
+    skipped; this trial passes only if its model contains such a process.
 
     After the first trial that nearly passes (`_TestResults.nearly_holds`), only a half and a
     quarter of the frequency of this trial are tried. If a low-pass filter is the cause, the model

@@ -416,6 +416,10 @@ def profile_interval(
         new_fit = data.solve(
             fit.components, fit.columns, start, {i: value}, fit.signed, rounds=10, tolerance=1e-2
         )
+        if not math.isfinite(new_fit.value):  # without this component, the start has no power
+            new_fit = data.solve(
+                fit.components, fit.columns, None, {i: value}, fit.signed, tolerance=1e-2
+            )
         if not math.isfinite(new_fit.value):
             return 1e3
         return math.sqrt(max(new_fit.value - fit.value, 0.0))
@@ -444,7 +448,7 @@ def profile_interval(
 def _crossing(distance, z: float, inner: float, outer: float, outer_distance: float) -> float:  # type: ignore[no-untyped-def]
     """Return the value between ``inner`` and ``outer`` at which ``distance`` is approximately z.
 
-    ``distance`` is 0 at ``inner``, and ``outer_distance`` at ``outer``.
+    ``distance`` is 0 at ``inner``, and approximately ``outer_distance`` at ``outer``.
     """
     inner_distance, value = 0.0, outer
     for _ in range(10):

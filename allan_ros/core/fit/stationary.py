@@ -157,7 +157,7 @@ def fit_likelihood(sums: AllanSums, statistics_of_axes: Sequence[Statistics] = (
 
     Too few data raise no error: an axis with too few statistics, or without noise, has no values
     and no limits, and a finding reports the axis. An axis whose spectra are not finite has no
-    values and no finding.
+    values and no limits.
     """
     tau0 = sums.tau0 or 1.0
     statistics_of_axes = statistics_of_axes or [statistics(sums)] * len(sums.axes)

@@ -491,8 +491,9 @@ def _groups(
     """Return the samples per block mean, and the contrasts in groups of segments of equal size.
 
     The block means of all segments are first averaged over the longest step of any segment. A
-    segment contains a settling if the segment begins within `SETTLED` time constants after the
-    start of its recording. ``edge`` is the crossover frequency in cycles per sample.
+    segment, or a piece of a divided segment, contains a settling if it begins within `SETTLED` time
+    constants after the start of its recording. ``edge`` is the crossover frequency in cycles per
+    sample.
     """
     means = [(r, m) for r in sums.recordings for m in r.means]
     step = max((m.step for _, m in means), default=1)

@@ -213,7 +213,7 @@ def _block_noise(fit: AxisFit, tau0: float, step: int) -> dict[Process, float]:
 
 
 def _slow_noise(data: AxisData, fit: Fit, tau0: float) -> SlowNoise:
-    """Return B and K in SI, with their intervals, from the result of `_Contrasts.fitted`."""
+    """Return B and K in SI, with intervals or limits, from the result of `_Contrasts.fitted`."""
     errors = np.sqrt(np.diag(fit.covariance()))
 
     def estimate(term: Process) -> Estimate:

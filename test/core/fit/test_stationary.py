@@ -249,3 +249,10 @@ def test_impulsive_noise_has_a_constant_level() -> None:
 def test_samples_whose_squares_are_infinite_have_no_values() -> None:
     _, model = fit_stationary(sums_of(1e200 * draw(11, 4000, 10.0), rate=10.0))
     assert all(c.value is None for fit in model.axes.values() for c in fit.noise.values())
+
+
+def test_n_is_not_resolved_in_20_samples() -> None:
+    for seed in range(12):
+        y = np.random.default_rng(seed).standard_normal((20, 3))
+        _, model = fit_stationary(sums_of(y))
+        assert all(fit.noise['N'].status != 'estimated' for fit in model.axes.values())
