@@ -267,9 +267,9 @@ def _highest_trial(rules: Selection) -> _Trial:
 
     After the first trial that nearly passes (`_TestResults.nearly_holds`), only a half and a
     quarter of the frequency of this trial are tried. If a low-pass filter is the cause, the model
-    passes at one of these frequencies. If no trial passes, the result is the first trial that
-    nearly passes. If there is none, the result is the trial of the highest frequency that is not
-    skipped.
+    normally passes at one of these frequencies. If no trial passes, the result is the first trial
+    that nearly passes. If there is none, the result is the trial of the highest frequency that is
+    not skipped.
     """
     f = rules.data.statistics.f
     tops = [top for top in TOPS if np.sum(f < top) >= LEAST_BINS]
