@@ -78,7 +78,7 @@ def fit_stationary(
     sums : AllanSums
         The sums that were fitted.
     model : NoiseModel
-        The fit, with findings about noise that changes with time.
+        The fit. With method 'likelihood', findings also report noise that changes with time.
 
     Raises
     ------
