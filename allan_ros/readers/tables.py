@@ -266,7 +266,8 @@ def _names(
     else:
         raise AllanError(
             f'{path}: has {len(first_cells)} columns of numbers and no header: '
-            f'name them, such as --columns {EXAMPLE_COLUMNS} ({LEFT_OUT} excludes a column)'
+            f'name them in their order in the file, such as --columns {EXAMPLE_COLUMNS} '
+            f'({LEFT_OUT} excludes a column)'
         )
     if are_pairs:
         return picked_names(f'{path}: line {number}', names, given_names), header_line

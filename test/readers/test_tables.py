@@ -457,7 +457,7 @@ COLUMNS = tuple(HEADER.strip().split(','))
             'which are times since 1970 in us: use --stamp-unit us',
         ),
         ('time,z,y,x\n1,2,3,4\n', {}, 'or t=NAME,gx=NAME'),
-        (f'1,{ROW}\n', {}, 'has 7 columns of numbers and no header'),
+        (f'1,{ROW}\n', {}, 'no header: name them in their order in the file'),
         (f'1,{ROW}\n', {'columns': ('t', 'gx')}, 'has 7 columns, but --columns names 2'),
         ('gx,gy,gz\n1,2,3\n', {}, 'state the sample rate (--rate'),
         ('t,a,b\n1,2,3\n', {}, 'line 1: no column (t, a, b) is a gyro or accel axis'),
