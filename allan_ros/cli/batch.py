@@ -172,7 +172,7 @@ def unread_units(folder: str) -> list[Outcome]:
         Outcome(
             BatchItem(row['unit'], [ReadJob(row['unit'], hardware_id=row.get('serial') or '')]),
             error=one_line(
-                f'{row["unit"]}: not read when this folder was written: {row.get("reason")}'
+                f'not read when this folder was written: {row.get("reason") or row["unit"]}'
             ),
         )
         for row in rows

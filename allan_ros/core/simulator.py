@@ -157,7 +157,7 @@ def samples_in(seconds: float, rate: float) -> int:
 
     Raises AllanError if the number is rounded to 0, or if the duration or rate is implausible.
     """
-    check_range(0.0, 1e10, 's', seconds=seconds)
+    check_range(0.0, 1e10, 's', duration=seconds)
     check_range(1e-6, 1e6, 'Hz', rate=rate)
     if round(seconds * rate) < 1:
         raise AllanError(f'cannot simulate {seconds} s at {rate} Hz: give a longer time')

@@ -173,7 +173,7 @@ class ColumnLayout:
         if not self.stamp and not with_times:
             raise AllanError(
                 f'{where}: no column ({column_list(names)}) contains the time: name it with '
-                '--columns t=NAME, or state the sample rate (--rate 200, rate=200)'
+                '--columns t=NAME, or state the sample rate (--rate 200; in Python, rate=200)'
             )
 
     def with_time_unit(

@@ -146,7 +146,9 @@ def stated_noise(
         limits = load_sensor(sensor).values()
         noise = {axis: Model.of(**limits.get(axis, {})) for axis in AXES}
     elif not changes and spec is None:
-        raise AllanError('no noise to simulate: give --preset paper, --sensor, --spec or --gyro ..')
+        raise AllanError(
+            'no noise to simulate: give --preset paper, --sensor NAME, --spec FILE or --gyro N=1e-4'
+        )
     if spec is not None:
         noise = with_noise(noise, spec)
     return with_noise(noise, Fields({**(changes or {})}, 'noise'))

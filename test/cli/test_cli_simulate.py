@@ -78,11 +78,11 @@ def test_faults_are_passed_on_and_a_truth_can_be_simulated_again(tmp_path):
 @pytest.mark.parametrize(
     'arguments, said',
     [
-        ([], 'no noise to simulate: give --preset paper'),
+        ([], 'give --preset paper, --sensor NAME, --spec FILE or --gyro N=1e-4'),
         (['--gyro', 'N=-1'], 'noise.gyro: N is'),
         (['--gyro', 'Z=1'], "noise.gyro: 'Z' is unknown"),
-        (['--preset', 'paper', '--hours', '-1'], 'seconds is -3600.0: it must lie between 0'),
-        (['--preset', 'paper', '--hours', 'inf'], 'seconds is inf'),
+        (['--preset', 'paper', '--hours', '-1'], 'duration is -3600.0: it must lie between 0'),
+        (['--preset', 'paper', '--hours', 'inf'], 'duration is inf'),
         (['--preset', 'paper', '--rate', '1e-300'], 'rate is 1e-300'),
         (['--preset', 'paper', '--seed', '-1'], 'seed is -1'),
         (['--sensor', 'nothing'], "no datasheet 'nothing'"),
