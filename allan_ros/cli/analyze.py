@@ -329,8 +329,8 @@ def check(args: argparse.Namespace) -> int:
     if args.serial_from:
         SerialRule(args.serial_from)
     units: dict[str, list[str]] = {}
-    paths_of_inputs = (recordings_in(path, files_are_units=True) for path in args.inputs)
-    for path in chain.from_iterable(paths_of_inputs):
+    paths_of_inputs = {path: recordings_in(path, files_are_units=True) for path in args.inputs}
+    for path in chain.from_iterable(paths_of_inputs.values()):
         bag = Path(path).parent
         is_split = Path(path).suffix in STORAGES and (bag / METADATA).is_file()
         paths = units.setdefault(str(bag) if is_split else path, [])
@@ -342,7 +342,13 @@ def check(args: argparse.Namespace) -> int:
         )
     jobs = [read_jobs(paths, args, bool(args.output)) for paths in units.values()]
     short_names = names_of([unit_jobs[0] for unit_jobs in jobs])
-    unread_outcomes = [outcome for path in args.inputs for outcome in unread_units(path)]
+    unread_outcomes = [
+        outcome
+        for folder, paths in paths_of_inputs.items()
+        # if the folder has recordings, they are read again
+        if all(path == folder or is_document(path) for path in paths)
+        for outcome in unread_units(folder)
+    ]
     return run_check(
         [BatchItem(*unit) for unit in zip(units, jobs, short_names)], args, unread_outcomes
     )

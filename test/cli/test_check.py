@@ -153,6 +153,16 @@ def test_the_exit_code_is_that_of_the_worst_unit(
     assert capsys.readouterr().out.splitlines()[-1].startswith('8 units: 7 not judged')
 
 
+def test_a_unit_that_cannot_be_read_is_counted_once(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in ('a.csv', 'b.csv'):
+        (tmp_path / name).write_text('t,gx\n1,two\n')
+    for _ in range(2):
+        assert main(['check', str(tmp_path), '-o', str(tmp_path)]) == 1
+        assert capsys.readouterr().out.splitlines()[-1] == '2 units: 2 error (a.csv, b.csv)'
+
+
 def test_every_recording_has_the_exit_code_of_its_state(
     repository: Path, shared_data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
