@@ -95,7 +95,10 @@ class Fields:
         names: Mapping[str, str] = {},
     ) -> None:
         if not isinstance(document, dict):
-            raise AllanError(f'{where}: a JSON object is expected, not {_shown(document)}')
+            raise AllanError(
+                f'{where}: keys with values (a JSON object or a YAML mapping) are expected, not '
+                f'{_shown(document)}'
+            )
         self._document: dict[str, Any] = document
         self._names = names
         self.where = where

@@ -185,7 +185,7 @@ def spoilers():
         'means': (lambda d: one(d)['means'][0].update(samples=4), 'expected'),
         'long means': (lambda d: one(d)['means'][0].update(samples=10**9), 'too many'),
         'grid': (lambda d: d['m'].__setitem__(0, 2), 'averaging factors'),
-        'list': (lambda d: d.update(recordings=[[]]), 'object is expected'),
+        'list': (lambda d: d.update(recordings=[[]]), 'keys with values .* are expected'),
         'name': (lambda d: d.update(frame_id='x' * 5000), 'frame_id'),
         'lengths': (lambda d: d.update(lengths=[[5000, 0]]), 'lengths'),
         'length': (lambda d: d.update(lengths=[[2**62, 1]]), 'lengths'),
