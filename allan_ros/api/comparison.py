@@ -173,11 +173,11 @@ def common(*sources: Any, rate: float = 0.0, **options: Any) -> CommonResult:
         ``rows`` contains for each axis of each IMU: N as measured, *own N* (N without the noise
         that is common to the IMUs) with its interval, and the coherence with the mean of the other
         IMUs at each averaging time. With three or more IMUs, own N is measured for each IMU. With
-        two IMUs, only the root mean square of the two values is measured. It is given for both,
-        times the factor ``gain`` with which each IMU measures the common noise. Own N is None if
-        the IMUs measure this noise with differences other than such factors, or if the differences
-        of their samples are constant. With one IMU, ``rows`` contains only the coherence of each
-        pair of axes of a sensor.
+        two IMUs, only the root mean square of the two values is measured. Own N of each IMU is
+        this value times ``gain``, the factor with which the IMU measures the common noise. Own N is
+        None if the common noise of the IMUs differs by more than such factors, or if the
+        differences of their samples are constant. With one IMU, ``rows`` contains only the
+        coherence of each pair of axes of a sensor.
 
     Raises
     ------

@@ -55,7 +55,7 @@ EXITS = {
     0: 'done, even if a finding is an error',
     EXIT_FAILED: 'with --fail-on: a finding of this or a higher severity, or an exceeded limit',
 }
-"""Exit code of `analyze` -> meaning, for the codes with a meaning that not all verbs share."""
+"""Exit code of `analyze` -> meaning; other exit codes mean the same for all verbs."""
 
 FAIL_ON = (
     Option(

@@ -266,9 +266,9 @@ def _run(words: Sequence[str]) -> int:
         sys.stdout.flush()  # if the pipe is closed, the exception is raised here, inside of `main`
         raise
     args.command_line = shlex.join(['allan', *words])
-    for former_word, word in pairwise(words):
+    for previous_word, word in pairwise(words):
         if EMPTY.fullmatch(word):
-            name = word.rstrip('=') or f'the argument after {former_word}'
+            name = word.rstrip('=') or f'the argument after {previous_word}'
             raise AllanError(
                 f'{name} is empty: give a path or a value; is the shell variable for it set?'
             )

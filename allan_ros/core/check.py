@@ -140,7 +140,7 @@ class Check:
 
     @property
     def limit(self) -> float:
-        """The upper limit, or the value or limit from the other recording; NaN if there is none."""
+        """The upper limit (`upper`); NaN if there is none."""
         return math.nan if self.upper is None else self.upper
 
     @property

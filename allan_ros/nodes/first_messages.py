@@ -23,9 +23,9 @@ class FirstMessages:
 
     ``rate_hz`` is the largest sample rate in Hz, according to the stamps, in the measured periods
     of at least `RATE_S`; before the end of the first period, it is `FIRST_RATE_HZ`. ``bias`` is
-    gyro axis -> mean of all processed finite angular rates in rad/s with its standard error,
-    updated at the start of each period. While the IMU is at rest, the mean is an estimate of the
-    bias. If the IMU turns, a covariance that covers the mean is usually too large.
+    gyro axis -> mean of all processed finite angular rates in rad/s, with its standard error. The
+    means are updated at the start of each period. At rest, a mean is an estimate of the bias. If
+    the IMU turns, it is usually larger than the bias.
     """
 
     def __init__(self) -> None:

@@ -273,11 +273,12 @@ class ParameterPush(NodePart):
     # --- setting ----------------------------------------------------------------------------------
 
     def _rows(self, plan: PushPlan, results: Results) -> tuple[Row, ...]:
-        """Return the rows of the export target, with the factors in motion if these are known.
+        """Return the rows of the export target of a plan, computed from the noise model.
 
-        If the state estimator has no bias state, its gain also covers the bias of the gyro at rest,
-        unless ``push.debiased`` is true. Raises AllanError if the noise model cannot be exported,
-        or if this bias is needed and not known yet.
+        If it is known by which factors the noise is larger in motion, the rows contain these
+        factors. If the state estimator has no bias state, its gain also covers the bias of the gyro
+        at rest, unless ``push.debiased`` is true. Raises AllanError if the noise model cannot be
+        exported, or if this bias is needed and not known yet.
         """
         options = replace(plan.options, motion=results.motion is not None)
         bias: dict[str, float] = {}

@@ -422,7 +422,7 @@ class ImuRelay(NodePart):
         return finding('relay_zeros' if self._zeros() else 'relay_waits', topic=topic)
 
     def _zeros(self) -> list[str]:
-        """Return the sensors whose covariance is all zeros in the latest message after patching."""
+        """Return the sensors whose covariance is zero in the latest message after correction."""
         latest = self._latest
         if latest is None:
             return []

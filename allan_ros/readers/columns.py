@@ -305,7 +305,11 @@ def columns_of(where: object, names: Sequence[str], options: ReadOptions) -> Col
             axis = f'{kind}_{letter}'
             if axis in axes:
                 is_repeated = axis_names[axis] == name
-                choice = _names_once(names) if is_repeated else f'{kind[0]}{letter}={name},...'
+                choice = (
+                    _without_repeated_names(names)
+                    if is_repeated
+                    else f'{kind[0]}{letter}={name},...'
+                )
                 raise AllanError(
                     f'{where}: the columns {axis_names[axis]!r} and {name!r} both contain {axis}: '
                     f'choose the columns of one IMU, such as --columns {choice}'
@@ -351,13 +355,13 @@ def columns_of(where: object, names: Sequence[str], options: ReadOptions) -> Col
     )
 
 
-def _names_once(names: Sequence[str]) -> str:
+def _without_repeated_names(names: Sequence[str]) -> str:
     """Return a value of --columns with all names; repetitions of a name are replaced by '-'.
 
     The value is quoted for a shell if necessary.
     """
-    once = [LEFT_OUT if name in names[:column] else name for column, name in enumerate(names)]
-    return shlex.quote(','.join(once))
+    kept_names = [LEFT_OUT if name in names[:column] else name for column, name in enumerate(names)]
+    return shlex.quote(','.join(kept_names))
 
 
 _WORDS = re.compile(r'[A-Z]?[a-z]+|[A-Z]+')
@@ -413,7 +417,9 @@ def picked_names(where: object, names: tuple[str, ...], pairs: tuple[str, ...]) 
         if len(positions) != 1:
             remedy = f'correct --columns {pair}'
             if names.count(old_name) > 1:
-                remedy = f'name each column in order, such as --columns {_names_once(names)}'
+                remedy = (
+                    f'name each column in order, such as --columns {_without_repeated_names(names)}'
+                )
             raise AllanError(
                 f'{where}: {len(positions)} columns ({column_list(names)}) are named {old_name!r}: '
                 f'{remedy}'

@@ -36,7 +36,8 @@ LONGEST_NAME = 255
 """Largest number of bytes in a file name (NAME_MAX of Linux)."""
 
 IDENTITIES = ('frame_id', 'hardware_id')
-"""Names of keyword arguments that identify an IMU: their texts are not limited to file names."""
+"""Names of the keyword arguments that identify an IMU. Their values may be longer than the name of
+a file."""
 
 
 def with_checked_paths(function: Callable[P, T]) -> Callable[P, T]:
@@ -44,9 +45,9 @@ def with_checked_paths(function: Callable[P, T]) -> Callable[P, T]:
 
     The function also raises AllanError for a text argument that cannot be a path, because it
     contains a null character or a name that is too long for a file. Not every version of Python
-    reports such an argument. The length of `IDENTITIES` is not checked. An empty text, which Python
-    reads as the path of the working directory, also raises AllanError, unless the default of the
-    parameter is a text.
+    reports such an argument. The lengths of the arguments in `IDENTITIES` are not checked. An empty
+    text, which Python reads as the path of the working directory, also raises AllanError, unless
+    the default of the parameter is a text.
     """
     function_signature = signature(function)
 
@@ -491,7 +492,7 @@ class PathLock:
 
 
 def _try_to_lock(handle: int) -> bool:
-    """Lock an open file; return False if another process has locked it.
+    """Lock an open file; return False if it is locked through another handle.
 
     Windows and some file systems have no such locks; on these, the result is always True.
     """

@@ -58,7 +58,7 @@ QUOTED = re.compile('"[^"]*"')
 """Regular expression for a quoted part of a line."""
 
 CONTROL_CHARACTER = re.compile('[\x00-\x08\x0e-\x1f]')
-"""Regular expression for a control character other than white space. Text has none."""
+"""Regular expression for a control character other than white space; text files contain none."""
 
 DATE = re.compile(r'\s*\d{4}-\d\d-\d\d[T ]\d\d:\d\d')
 """Regular expression for the start of a date with a time (ISO 8601)."""

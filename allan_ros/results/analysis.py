@@ -129,7 +129,7 @@ def analyze_recorded(
     sums = [s for s, _ in fitted]
     curves = [allan_curve(s) for s in sums]
     fits = [with_deviations(fit, curve) for (_, fit), curve in zip(fitted, curves)]
-    # of two sums with the same axis, the later ones, which are longer, replace the earlier ones
+    # if two of the sums contain an axis, the later of them is longer, and its result is used
     axes = dict(_axis_results(zip(recorded.sums, curves, fits)))
     time_ns, celsius = recorded.temperature_readings()
     for complete_sums in recorded.sums:

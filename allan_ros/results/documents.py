@@ -75,8 +75,8 @@ DOCUMENT_KEYS = {
 def results_to_document(results: Results, curves: bool = True) -> dict[str, Any]:
     """Return the results as a document ``allan_ros/results/3`` in SI.
 
-    Findings are written as data. Only findings with texts from a document (`Finding.stated`) have
-    texts. If ``curves`` is False, the document contains no curves and is much shorter.
+    Findings are written without texts, except findings whose texts were read from a document
+    (`Finding.stated`). If ``curves`` is False, the document contains no curves and is much shorter.
     """
     return {
         'schema': RESULTS_SCHEMA,

@@ -190,7 +190,7 @@ class DriveLikelihood:
 
     @classmethod
     def of(cls, drives: Sequence[DriveErrors], noise: Sequence[NoiseAtRest]) -> DriveLikelihood:
-        """Return the likelihood of the errors of drives, of which there is at least one.
+        """Return the likelihood of the errors of one or more drives.
 
         The drives are in the order of time. ``noise`` is the noise at rest of the six axes, in the
         order of `AXES`.

@@ -74,7 +74,7 @@ class StateSpace:
 
     @property
     def _blocks(self) -> list[tuple[float, Process, slice]]:
-        """For the random walk and each other process: coefficient, process, slice of its states."""
+        """Coefficient, process and slice of the states: for the random walk, then each process."""
         blocks, first = [], 1
         for value, process in ((self.walk, BY_LETTER['K']), *self.processes):
             size = len(_states(process).output)

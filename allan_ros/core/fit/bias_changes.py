@@ -53,11 +53,12 @@ NEAR_OCTAVES = 4
 above the frequencies of the contrasts."""
 
 LEAST_MEANS = 24
-"""Fewest block means of a segment in which a settling and steps are searched for."""
+"""A settling and steps are searched for only in segments with at least this number of means of
+blocks."""
 
 LEAST_TESTED_S = 120.0
-"""Shortest segment in s in which a settling and steps are searched for. In shorter segments,
-vibration rather than drift changes the means."""
+"""A settling and steps are searched for only in segments of at least this duration in s. In shorter
+segments, vibration rather than drift changes the means."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -259,8 +259,9 @@ def _down_weighted(rules: Selection, fit: Fit) -> tuple[Selection, Fit, dict[int
 def _highest_trial(rules: Selection) -> _Trial:
     """Return the first trial that passes, from the highest frequency to lower frequencies.
 
-    A trial passes if the model passes all tests. A trial that does not use all frequencies passes
-    only if also the highest octave of the data has less power than the white noise of the model.
+    A trial fits a model to the frequencies below a limit, and passes if the model passes all tests.
+    If it does not use all frequencies, the highest octave of the data must also have less power
+    than the white noise of the model.
     Frequencies at which a filter has removed much power are skipped (`LOST_POWER`). If a fast
     process explains the spectrum (`_bends_like_noise`), the highest frequency is tried before it is
     skipped; this trial passes only if its model contains such a process.
@@ -303,8 +304,8 @@ def _bends_like_noise(rules: Selection) -> bool:
     The process is fitted together with the base components, which include white noise. Bins in
     which a sinusoid dominates have nearly no weight in the fit. The result is True if the white
     noise exceeds `WHITE_NOISE` standard errors, and if the ratio of the power above `FILTERED_FROM`
-    to the power of the fit exceeds `EXPLAINED`; with a low-pass filter, the ratio is smaller. This
-    ratio is the median over the bins, on which a few sinusoids have no effect.
+    to the power of the fit exceeds `EXPLAINED`. With a low-pass filter, the ratio is smaller. The
+    ratio is the median over the bins, so that a few sinusoids have no effect on it.
     """
     data = rules.data
     fit = _with_fast_process(rules)

@@ -184,7 +184,9 @@ def fit_curve(tau: ArrayLike, adev: ArrayLike, record: float | None = None) -> A
 
 
 def _decimated(tau: Floats, adev: Floats) -> tuple[Floats, Floats]:
-    """Return averaging times, ascending, and Allan variances of up to 5 valid points per octave.
+    """Return ascending averaging times, and the squares of Allan deviations at these times.
+
+    There are at most 5 points per octave.
 
     Raises AllanError if fewer than `LEAST_POINTS` points remain.
     """

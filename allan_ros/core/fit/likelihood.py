@@ -416,7 +416,9 @@ def profile_interval(
         new_fit = data.solve(
             fit.components, fit.columns, start, {i: value}, fit.signed, rounds=10, tolerance=1e-2
         )
-        if not math.isfinite(new_fit.value):  # without this component, the start has no power
+        if not math.isfinite(
+            new_fit.value
+        ):  # without this component, the model that the fit starts from has no power
             new_fit = data.solve(
                 fit.components, fit.columns, None, {i: value}, fit.signed, tolerance=1e-2
             )

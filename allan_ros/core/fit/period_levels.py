@@ -420,7 +420,7 @@ def spectrum_levels(
 def innovation_levels(
     sums: AllanSums, fits: Sequence[AxisFit], settlings: Mapping[int, float]
 ) -> PeriodLevels:
-    """Return the level of the drift in each block mean except the first mean of each segment.
+    """Return the levels of the drift for each block mean except the first mean of each segment.
 
     Block means of one length are used, at most `MOST_MEANS` per segment. Segments with fewer than
     `LEAST_MEANS` of them are omitted. The level of a block mean is the square of its innovation,

@@ -490,7 +490,7 @@ def _groups(
 ) -> tuple[int, tuple[Group, ...]]:
     """Return the samples per block mean, and the contrasts in groups of segments of equal size.
 
-    The block means of all segments are first averaged over the longest step of any segment. A
+    The block means of all segments are first averaged to the longest blocks of any segment. A
     segment, or a piece of a divided segment, contains a settling if it begins within `SETTLED` time
     constants after the start of its recording. ``edge`` is the crossover frequency in cycles per
     sample.

@@ -115,7 +115,7 @@ class Model:
         for name, value in terms.items():
             if name not in [*LETTERS]:
                 raise AllanError(f'there is no term {name!r}: give {", ".join(LETTERS)}')
-            # an integer above the largest float is not finite, too
+            # an integer above the largest float counts as infinite
             if not abs(value) <= sys.float_info.max or (value < 0.0 and name != 'R'):
                 allowed_range = '' if name == 'R' else ' of 0 or above'
                 raise AllanError(f'{name} is {value!s:.40}: give a finite number{allowed_range}')

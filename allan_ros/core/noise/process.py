@@ -261,7 +261,10 @@ class Process:
         return False
 
     def limit(self, search: Search) -> Process:
-        """Return a sinusoid for a resonance that is too narrow for a search, else this process."""
+        """Return the process that replaces this process if its shape is at a limit of a search.
+
+        A resonance that is too narrow is replaced by a sinusoid. Other processes are not replaced.
+        """
         return self
 
     def alias_variance(self, step: int) -> float:

@@ -133,7 +133,7 @@ class DriveRecorder:
 
     @property
     def complete(self) -> Drives:
-        """The drives whose second rest is over or long enough, and the unused drives so far."""
+        """The drives whose second rest is over or long enough, and the drives not used so far."""
         return Drives(tuple(self._drives), Counter(self._unused))
 
     @property
@@ -188,7 +188,7 @@ class DriveRecorder:
             self._complete()
 
     def _complete(self) -> None:
-        """Use or reject the pending drive, if any: its second rest is over or long enough."""
+        """Use or reject the pending drive, if any, when its second rest is over or long enough."""
         if self._drive is None:
             return
         drive, self._drive = self._drive, None

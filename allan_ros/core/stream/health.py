@@ -73,8 +73,8 @@ G_BAND = 0.15
 fraction."""
 
 EXCHANGED_UNITS = ('rad/s', 'm/s^2'), ('rad/s', 'g'), ('deg/s', 'm/s^2')
-"""Units of the gyro and the accelerometer. The two sensors are exchanged if only the gyro measures
-gravity, in one of these pairs of units. The pair deg/s and g is not used, because a gyro may have a
+"""Units of the gyro and the accelerometer in which exchanged columns of the sensors are recognized:
+only the gyro seems to measure gravity. The pair deg/s and g is not used, because a gyro may have a
 bias of 1 deg/s."""
 
 SAME_SUMS = 1e-6
@@ -189,8 +189,8 @@ class StreamHealth:
     rate_hz: float | None = None  # sample rate; None while it is not known
     bursty: bool = False  # whether stamps come in bursts
 
-    # sample rate without missing samples, if samples are missing so regularly that `rate_hz` is
-    # lower; else None
+    # sample rate that the sensor would have if no samples were missing; None unless samples are
+    # missing so regularly that `rate_hz` is lower
     base_rate_hz: float | None = None
     first_ns: int | None = None  # first stamp with the current frame_id
     stamps: str = 'header'  # which stamps are used: 'header' or 'record'
@@ -451,7 +451,7 @@ def unit_findings(sums: Sequence[AllanSums]) -> list[Finding]:
         for sensor, pair in columns.items()
         if len(pair[1]) == len(AXES[SENSORS[sensor]])
     }
-    exchanged = _exchange_findings(**norms) if len(norms) == len(SENSORS) else []
+    exchanged = _findings_about_exchange(**norms) if len(norms) == len(SENSORS) else []
     if exchanged:
         return exchanged
     accel_axes = AXES[SENSORS['accel']]
@@ -482,7 +482,7 @@ def _rate_findings(sums: AllanSums, columns: list[int], may_be_counts: bool) -> 
     return [finding('gyro_unit', axes, n=n, rate=rate, unit=unit)]
 
 
-def _exchange_findings(gyro: float, accel: float) -> list[Finding]:
+def _findings_about_exchange(gyro: float, accel: float) -> list[Finding]:
     """Return a finding if the gyro measures gravity and the accelerometer does not.
 
     ``gyro`` is the magnitude of the mean rate at rest in rad/s, and ``accel`` is the magnitude of

@@ -230,7 +230,7 @@ class MotionGate:
         return self._rest.take()
 
     def flush(self) -> list[ImuBatch]:
-        """Process all buffered samples, after which none follow, and return the samples at rest."""
+        """Process all buffered samples at the end of the input, and return the samples at rest."""
         if self._learning:
             self._learn()
         self._flush_pending()
@@ -263,7 +263,7 @@ class MotionGate:
     # --- windows ----------------------------------------------------------------------------------
 
     def _add(self, block: ImuBatch) -> None:
-        """Add a block, and classify the windows that `SPIKE_NEIGHBORS` further samples follow."""
+        """Add a block, and classify the windows that are followed by `SPIKE_NEIGHBORS` samples."""
         if block.cut:
             self._flush_pending()
         buffered = joined([self._pending, block])
@@ -284,9 +284,10 @@ class MotionGate:
     def _classify(self, buffered: ImuBatch, end: int, size: int) -> None:
         """Classify the samples before the index ``end``, in windows of ``size`` samples.
 
-        If no other level can fit the windows better, and if all of them up to the end of the block
-        (`BLOCK_WINDOWS`) are at rest, they are classified together. Otherwise, only the windows up
-        to the next check are classified together, because the check may begin another level.
+        If no other noise level can fit the windows better, and if all of them up to the end of the
+        block (`BLOCK_WINDOWS`) are at rest, they are classified together. Otherwise, only the
+        windows up to the next check of the noise are classified together, because this check may
+        begin another noise level.
         """
         position = 0
         while position < end:
@@ -310,7 +311,7 @@ class MotionGate:
 
     @property
     def _is_settled(self) -> bool:
-        """Whether no motion is present, no other level is stored, and each axis has noise."""
+        """Whether no motion is present, only one noise level is stored, and each axis has noise."""
         is_only_level = self._levels.other is None and bool(self._rest.floor.variance.all())
         return is_only_level and self._rest.motion is None
 

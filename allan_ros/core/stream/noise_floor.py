@@ -251,9 +251,9 @@ class NoiseFloor:
 
     @property
     def rate_limit(self) -> Floats:
-        """Least limit of the change of a mean rate at rest, (axes,), in rad/s.
+        """Lower bound of the limit for the change of a mean rate at rest, (axes,), in rad/s.
 
-        Noise can raise the limit. It is infinite for accelerometers.
+        Noise can make the limit larger. The bound is infinite for accelerometers.
         """
         return np.where(self.gyro, self.settings.rate_limit, np.inf)
 
@@ -517,7 +517,7 @@ class NoiseFloor:
     def classify(
         self, rows: Floats, windows: Windows, previous_mean: Floats | None, size: int
     ) -> WindowClass:
-        """Classify windows of ``size`` samples by comparing them with the noise floor.
+        """Return which windows of ``size`` samples are at rest, compared with the noise floor.
 
         ``rows``, (axes, k * size), are the samples of the windows. ``previous_mean``, (axes,), is
         the mean of the window before the first window, or None if it is not known.

@@ -320,7 +320,7 @@ class FrameStream:
         self._options = settings, with_samples, with_drives, with_means
         self.sensors: tuple[SensorStream, ...] = ()
         self.earlier: tuple[SensorStream, ...] = ()
-        self._dropped = Counts()  # counts of the sensor streams that preceded `earlier`
+        self._dropped = Counts()  # counts of sensor streams that ended before `earlier`
         # faults that were found in the first samples, and that may end later
         self._faulty: tuple[Finding, ...] = ()
         self.notes: list[Finding] = []

@@ -116,8 +116,8 @@ class Clock:
     step_ns: float
     bursty: bool
     jitter: bool = False
-    # shortest common step in ns, if samples are missing so regularly that it is not the period;
-    # else 0
+    # shortest frequent step between stamps in ns, if it differs from the period because samples are
+    # missing regularly; else 0
     base_ns: float = 0.0
 
     @property
@@ -162,8 +162,8 @@ def learn_clock(stamps: Stamps, polled: bool = False, declared: float = 0.0) -> 
 
     Backward stamps are ignored. If ``polled`` is set, the messages repeat the samples of a slower
     sensor, and ``stamps`` are the stamps of the messages with a new sample. The steps between these
-    stamps are multiples of the period of the messages. If these steps are uneven, but even on
-    average (`POLLED_SHARE`), their average is the sample period.
+    stamps are multiples of the period of the messages. If these steps are uneven, but close to
+    their average (`POLLED_SHARE`), the average is the sample period.
 
     If samples of a sensor that is not polled are missing so regularly that the shortest steps are
     not the period, their mean is stored in ``base_ns``, or used as the period if it agrees with the
@@ -294,7 +294,7 @@ this fraction of `CLOCK_BLOCK`."""
 
 
 class SampleClock:
-    """Converts samples to evenly spaced blocks.
+    """Converts samples to blocks of evenly spaced samples.
 
     After the period is learned, and until the rate changes, at most one block of samples, and the
     look-ahead before and after this block, are buffered.

@@ -404,7 +404,7 @@ class TransportMonitor:
 
 
 def _until_now(event: Finding) -> Finding:
-    """Return the finding about an event; a stated time is changed to one that lasts until now."""
+    """Return the finding about an event; a duration in it is replaced by the duration until now."""
     if 'when' not in event.values:
         return event
     return replace(event, values={**event.values, 'when': UNTIL_NOW})

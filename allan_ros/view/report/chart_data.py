@@ -266,7 +266,8 @@ def trends(results: Results, sensor: str, summary: SignalSummary | None) -> list
     The charts are computed from the ``summary`` of the raw signal. The list is empty without a
     summary or an axis of the sensor, and if the bias is known at fewer than `LEAST_TREND_POINTS`
     times. The chart of the bias over temperature is missing if the temperature is unknown or nearly
-    constant, or is known at too few of these times.
+    constant, or is known at too few of these times. Times are in s, temperatures in degC, and other
+    values in SI.
     """
     names = [name for name in AXES[SENSORS[sensor]] if name in results.axes]
     if summary is None or not names:
@@ -296,7 +297,7 @@ def _over_time(summary: SignalSummary, values: Floats) -> Trend:
     """Return the means of ``values``, (bins, axes), over intervals of equal length.
 
     The last interval of a recording may be shorter. A mean is NaN if its interval has too few used
-    bins with a value: at most half as many as a full interval has bins. A NaN separates two
+    bins with a value: at most half of the number of bins in a full interval. A NaN separates two
     recordings.
     """
     step = -(-len(summary.time_s) // MEANS)
