@@ -33,9 +33,8 @@ MOVING = 0.1
 states that the noise in motion could not be measured."""
 
 EXPLAINED = 0.7
-"""A finding names calibration errors as the cause of errors in motion if a model with these
-calibration errors explains the errors: its ratio of measured to predicted errors must be below this
-share of the ratio without calibration errors."""
+"""Calibration errors are named as the cause of errors in motion if a model that contains them
+reduces the ratio of measured to predicted errors below this fraction."""
 
 INTEGRAL_NAMES = {'gyro': 'angle', 'accel': 'velocity'}
 """Sensor -> name of the integral of its samples."""

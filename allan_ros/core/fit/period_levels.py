@@ -348,8 +348,8 @@ power, and in the block means of axes on which the drift has, on average, at lea
 variance of the innovations."""
 
 LARGEST_SETTLING = 0.01
-"""The level of the drift is measured in bins in which a settling has less than this share of the
-power, because the share of a settling differs between the periods."""
+"""Largest share of a settling in the power of a bin in which the level of the drift is measured.
+Other bins are not used, because the share of a settling differs between the periods."""
 
 MOST_MEANS = 256
 """Largest number of block means of a segment. More block means are averaged in pairs, which keeps

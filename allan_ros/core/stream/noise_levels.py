@@ -148,7 +148,7 @@ class NoiseLevels:
         # `published` level
         self._other_is: ExcludedAs = 'moving'
         self._dropped = Counts()  # counts of the levels that were discarded
-        # number of discarded levels that were `published` until a later level replaced them
+        # number of discarded levels that were `published` before a later level replaced them
         self._drops = 0
 
         # first stamp of the first level with samples; None until this level has ended
@@ -176,7 +176,7 @@ class NoiseLevels:
 
     @property
     def lost(self) -> int:
-        """Number of noise levels that were `published` until a later level replaced them.
+        """Number of `published` noise levels that a later level has replaced.
 
         A level that is `published` again, or has no samples, is not counted. A level that is kept,
         because its noise may return, is counted when the later level has samples.
