@@ -175,7 +175,7 @@ def common(*sources: Any, rate: float = 0.0, **options: Any) -> CommonResult:
         IMUs at each averaging time. With three or more IMUs, own N is measured for each IMU. With
         two IMUs, only the root mean square of the two values is measured. Own N of each IMU is
         this value times ``gain``, the factor with which the IMU measures the common noise. Own N is
-        None if the common noise of the IMUs differs by more than such factors, or if the
+        None if the common noise of the IMUs differs in more than a constant factor, or if the
         differences of their samples are constant. With one IMU, ``rows`` contains only the
         coherence of each pair of axes of a sensor.
 

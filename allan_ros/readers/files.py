@@ -53,18 +53,17 @@ def with_checked_paths(function: Callable[P, T]) -> Callable[P, T]:
 
     @wraps(function)
     def checked(*args: P.args, **given: P.kwargs) -> T:
+        arguments: dict[str, Any] = dict(given)  # also the options of ``**options``
         with contextlib.suppress(TypeError):  # for wrong arguments, the call below raises TypeError
-            for name, value in function_signature.bind(*args, **given).arguments.items():
-                texts = value if isinstance(value, (tuple, list)) else (value,)
-                has_empty_text = any(isinstance(text, str) and not text for text in texts)
-                if has_empty_text and not isinstance(
-                    function_signature.parameters[name].default, str
-                ):
-                    raise AllanError(f'{name} is an empty text: give a path or a name')
-        for name, value in (*(('', each) for each in args), *given.items()):
+            arguments |= function_signature.bind(*args, **given).arguments
+        for name, value in arguments.items():
+            parameter = function_signature.parameters.get(name)
+            may_be_empty = parameter is None or isinstance(parameter.default, str)
             for text in value if isinstance(value, (tuple, list)) else (value,):
                 if not isinstance(text, PATH):
                     continue
+                if text == '' and not may_be_empty:
+                    raise AllanError(f'{name} is an empty text: give a path or a name')
                 shown_text, parts = f'{one_line(repr(text)):.60}', str(text).split('/')
                 if '\0' in str(text):
                     raise AllanError(f'{shown_text} has a null character: give a name without it')

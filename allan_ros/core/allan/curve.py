@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..errors import AllanError
 from .grid import counts, octave, overlap
-from .periods import totals
+from .periods import ByValue, totals
 from .sums import AllanSums
 
 Floats = NDArray[np.float64]
@@ -228,7 +228,7 @@ its value. With a higher upper limit, the point has fewer than six degrees of fr
 
 
 @dataclass(frozen=True, eq=False)
-class AxisCurve:
+class AxisCurve(ByValue):
     """Overlapping Allan deviation with its 68.3 % confidence limits.
 
     Attributes
@@ -258,18 +258,6 @@ class AxisCurve:
     adev: Floats
     ci_low: Floats
     ci_high: Floats
-
-    def __eq__(self, other: object) -> bool:
-        """Return whether both curves are of the same class and have equal numbers; NaN equals NaN.
-
-        >>> import allan_ros as ar
-        >>> ar.adev([1.0, 2.0, 4.0]) == ar.adev([1.0, 2.0, 4.0])
-        True
-        """
-        if type(other) is not type(self):
-            return NotImplemented
-        pairs = [(np.asarray(a), np.asarray(vars(other)[name])) for name, a in vars(self).items()]
-        return all(np.array_equal(a, b, equal_nan=a.dtype.kind == 'f') for a, b in pairs)
 
     @property
     def is_uncertain(self) -> NDArray[np.bool_]:

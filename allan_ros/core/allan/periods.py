@@ -55,7 +55,10 @@ def rounded(values: Floats, size: int) -> Floats:
 
 
 class ByValue:
-    """Base class of dataclasses with array fields; adds a ``==`` that compares the arrays."""
+    """Base class of dataclasses with array fields; adds a ``==`` that compares the arrays.
+
+    NaN equals NaN.
+    """
 
     def __eq__(self, other: object) -> bool:
         """Return whether the types and all fields are equal."""
@@ -63,7 +66,10 @@ class ByValue:
             return False
         pairs = ((getattr(self, f.name), getattr(other, f.name)) for f in fields(self))  # type: ignore[arg-type]
         return all(
-            np.array_equal(x, y) if isinstance(x, np.ndarray) else bool(x == y) for x, y in pairs
+            np.array_equal(x, y, equal_nan=x.dtype.kind == 'f')
+            if isinstance(x, np.ndarray)
+            else bool(x == y)
+            for x, y in pairs
         )
 
 

@@ -74,10 +74,11 @@ class RunningStretches:
         self._open = np.zeros((2, axes), np.int64)
 
     def add(self, levels: NDArray[np.int32] | None) -> None:
-        """Count the stretches in the next samples.
+        """Count the stretches of replaced values in the next samples.
 
-        ``levels``, (axes, n), are 0 for measured samples, and the level of the stretch for replaced
-        samples. None means that all samples are measured, or that the segment ended.
+        ``levels``, (axes, n), contain 0 for each measured value, and for each replaced value the
+        level of its stretch, as in the table. None ends the present stretches: no value in the next
+        samples is replaced, or the segment has ended.
         """
         axes = self._open.shape[1]
         if levels is None:

@@ -236,8 +236,7 @@ class ImuStream:
         for stream_sums in sorted(results, key=lambda result: -result.sums.elapsed_ns):
             for axis in stream_sums.sums.axes:
                 longest.setdefault(axis, stream_sums)
-        chosen = {id(longest[axis]): longest[axis] for axis in AXES if axis in longest}.values()
-        entries = sorted(chosen, key=lambda entry: -len(entry.sums.axes))
+        entries = [*{id(longest[a]): longest[a] for a in AXES if a in longest}.values()]
         if sum(len(entry.sums.axes) for entry in entries) > len(longest):  # an axis is in two sums
             entries.sort(key=lambda entry: entry.sums.elapsed_ns)
         return tuple(entries)

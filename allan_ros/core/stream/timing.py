@@ -171,7 +171,7 @@ def learn_clock(stamps: Stamps, polled: bool = False, declared: float = 0.0) -> 
     """
     if not has_time(stamps):
         return None
-    stamps = stamps[stamps >= np.maximum.accumulate(stamps)]
+    stamps = _without_backward(stamps)
     steps = np.diff(stamps).astype(float)
     clock = _clock_of(steps, stamps, polled, declared)
     base = 0.0 if polled else _common_step(steps)
@@ -184,8 +184,13 @@ def learn_clock(stamps: Stamps, polled: bool = False, declared: float = 0.0) -> 
 
 def has_time(stamps: Stamps) -> bool:
     """Return whether the first stamps of a stream, (n,), advance often enough to show a period."""
-    steps = np.diff(stamps[stamps >= np.maximum.accumulate(stamps)])
+    steps = np.diff(_without_backward(stamps))
     return bool(len(steps) > 0 and np.count_nonzero(steps) >= min(FEWEST_STEPS, len(steps)))
+
+
+def _without_backward(stamps: Stamps) -> Stamps:
+    """Return the stamps, (n,), that are not before an earlier one of them."""
+    return stamps[stamps >= np.maximum.accumulate(stamps)]
 
 
 def _period_of_runs(steps: Floats) -> float:
