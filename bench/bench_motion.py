@@ -9,8 +9,8 @@
 The first 20 of 30 simulated drives give the factors, and the noise at rest is measured in the same
 record. The columns are for each sensor the median factor of the error, how often the factor is
 significant (worse), the median factor of N, how often its interval contains the truth, and how
-often K has a factor. Then follow the causes, how often the factor with the causes may be 1, and the
-squared errors of the other drives, divided by three predictions.
+often K has a factor. Then follow the causes, how often the interval of the factor with the causes
+contains 1, and the squared errors of the other drives, divided by three predictions.
 """
 
 from __future__ import annotations

@@ -178,7 +178,10 @@ def reading(folder: Path, name: str, rounds: int) -> Reading:
 
 
 class Table(NamedTuple):
-    """CPU time of `table` in s, its excess over and ratio to the time of `floor`, and memory."""
+    """CPU time and memory of `table`.
+
+    ``over`` and ``ratio`` compare the CPU time with the CPU time of `floor`. Times are in s.
+    """
 
     cpu: float
     over: float

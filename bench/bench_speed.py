@@ -176,7 +176,7 @@ def saved(path: Path, imu: np.ndarray) -> Path:
 
 
 def recordings(folder: Path) -> list[Path]:
-    """Return the paths of the shared recordings of which `slowest` finds the slowest."""
+    """Return the paths of the shared recordings that `slowest` analyzes."""
     from bench_accuracy import shared_recordings
 
     found = [saved(folder / f'{name}.npz', rows) for name, rows in shared_recordings().items()]

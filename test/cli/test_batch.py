@@ -52,6 +52,9 @@ def test_a_folder_is_one_recording_or_a_batch(tmp_path: Path) -> None:
     assert len(recordings_in(named)) == 2
     bags = folder('bags', 'one/metadata.yaml', 'two/metadata.yaml')
     assert [Path(p).name for p in recordings_in(bags)] == ['one', 'two']
+    units = folder('units', 'u1/a.mcap', 'u2/metadata.yaml', 'u3.mcap')
+    folder('units/empty')
+    assert [Path(p).name for p in recordings_in(units)] == ['u1', 'u2', 'u3.mcap']
     results = folder('results', 'results.json', 'report.html', 'plots/a.png')
     assert recordings_in(results) == [results]
 
@@ -197,13 +200,3 @@ def test_each_imu_topic_of_a_bag_has_its_results(
     failing = [word for word in words if word not in ('-o', str(out))]
     for more in ([], ['--json'], ['-o', str(tmp_path / 'failed')]):
         assert main([*failing, '--skip', '1h', *more]) == 1  # every topic is too short
-
-
-def test_a_folder_of_a_bag_without_metadata_is_a_unit(tmp_path: Path) -> None:
-    for folder in ('u1', 'u2', 'empty'):
-        (tmp_path / folder).mkdir()
-    (tmp_path / 'u1' / 'rec.mcap').touch()
-    (tmp_path / 'u2' / 'metadata.yaml').touch()
-    (tmp_path / 'u3.mcap').touch()
-    found = [str(tmp_path / name) for name in ('u1', 'u2', 'u3.mcap')]
-    assert recordings_in(str(tmp_path)) == found

@@ -165,20 +165,6 @@ def test_clipping_near_a_limit_does_not_change_the_level_again_and_again(share, 
     assert_same(result, stream(rounded(x), rate, chunks=(999, 5)))
 
 
-@pytest.mark.parametrize('sensor', ['gyro', 'accel'])
-def test_the_last_sums_of_an_axis_are_the_longest(sensor):
-    """A sensor is absent in the first two thirds of the stream."""
-    rate, rng = 100, np.random.default_rng(5)
-    x = rounded(imu(180, rate, rng))
-    x[: 120 * rate, [axis.startswith(sensor) for axis in AXES]] = np.nan
-    sums = stream(x, rate).sums
-    seconds = {axis: s.elapsed_ns * 1e-9 for s in sums for axis in s.axes}
-    assert set(seconds) == set(AXES)
-    for axis, length in seconds.items():
-        assert length == max(s.elapsed_ns * 1e-9 for s in sums if axis in s.axes)
-        assert (length > 100) == (not axis.startswith(sensor))
-
-
 @pytest.mark.parametrize('samples, has_finding', [(2, False), (60, False), (1000, True)])
 def test_few_equal_samples_do_not_show_that_a_sensor_has_no_noise(samples, has_finding):
     assert ('no_noise' in ids(stream(np.full((samples, 6), 9.8), 100))) == has_finding

@@ -182,16 +182,26 @@ def test_another_frame_is_another_imu(frames, used):
     assert_accounted(result)
 
 
-def test_the_longer_sums_of_an_axis_come_last():
-    stream = ImuStream()
-    for frame_id, absent, n in (('five axes', slice(2, 3), 12_000), ('gyro', slice(3, 6), 6000)):
-        t, x = still(n)
-        x[:, absent] = np.nan
-        stream.update(ImuBatch(t, x, frame_id=frame_id))
+@pytest.mark.parametrize(
+    'frame_ids, absent, axes',
+    [
+        (('five axes', 'gyro'), (slice(2, 3), slice(3, 6)), (AXES[:3], (*AXES[:2], *AXES[3:]))),
+        (('imu', 'imu'), (slice(0, 3), slice(0, 0)), (AXES, AXES[3:])),
+        (('imu', 'imu'), (slice(3, 6), slice(0, 0)), (AXES, AXES[:3])),
+    ],
+    ids=['two frame_ids', 'the gyro begins later', 'the accelerometer begins later'],
+)
+def test_the_longer_sums_of_an_axis_come_last(frame_ids, absent, axes):
+    """The first 60 s have other axes than the last 30 s."""
+    stream, (t, x) = ImuStream(), still(18_000)
+    for frame_id, columns, rows in zip(frame_ids, absent, (slice(12_000), slice(12_000, None))):
+        x[rows, columns] = np.nan
+        stream.update(ImuBatch(t[rows], x[rows], frame_id=frame_id))
     stream.end()
-    gyro, five_axes = stream.result().sums
-    assert gyro.axes == AXES[:3] and five_axes.axes == (*AXES[:2], *AXES[3:])
-    assert gyro.elapsed_ns < five_axes.elapsed_ns
+    shorter, longer = stream.result().sums
+    assert (shorter.axes, longer.axes) == axes
+    assert shorter.elapsed_ns * 1e-9 == pytest.approx(30, abs=1)
+    assert longer.elapsed_ns * 1e-9 == pytest.approx(60, abs=1)
 
 
 @pytest.mark.parametrize('ordered', [0, 2000])
